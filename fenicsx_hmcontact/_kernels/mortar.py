@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Which parts of the edges of one surface face which edge of another."""
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+SHORTEST_SEGMENT = 1e-10
+"""Segments shorter than this are skipped; local coordinate of the secondary edge, from -1 to 1."""
+
+
+@numba.njit(cache=True)
+def _cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
+    return a[0] * b[1] - a[1] * b[0]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _roots(c0: float, c1: float, c2: float) -> tuple[float, float]:
+    """Roots of c0 + c1 s + c2 s^2 without cancellation; not finite where there are fewer."""
+    q = -0.5 * (c1 + np.copysign(np.sqrt(c1 * c1 - 4.0 * c0 * c2), c1))
+    return c0 / q, q / c2
+
+
+@numba.njit(cache=True)
+def segments(
+    x: npt.NDArray[np.float64],
+    normals: npt.NDArray[np.float64],
+    edges: npt.NDArray[np.int32],
+    y: npt.NDArray[np.float64],
+    primary_edges: npt.NDArray[np.int32],
+    pairs: npt.NDArray[np.int64],
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Find the parts of secondary edges from which the normal meets the front of a primary edge.
+
+    A point x(s) of a secondary edge looks along n(s) = N_1 n_1 + N_2 n_2, not normalised, and sees
+    y where f(s) = (x(s) - y) x n(s) vanishes (Yang, Laursen and Meng 2005). The bodies lie left of
+    their edges, so it sees the front of the edge from y_1 to y_2 where f_1 < 0 < f_2.
+
+    Args:
+        x: Nodes of the secondary surface [m]; shape (n_s, 2).
+        normals: Their normals, which point into the secondary body; shape (n_s, 2).
+        edges: Edges of the secondary surface, body on the left; shape (m_s, 2).
+        y: Nodes of the primary surface [m]; shape (n_m, 2).
+        primary_edges: Edges of the primary surface, body on the left; shape (m_m, 2).
+        pairs: Secondary and primary edge of every candidate pair; shape (k, 2).
+
+    Returns:
+        Pair of every segment, shape (l,); its ends on the secondary edge, shape (l, 2). A pair has
+        more than one segment only where normals of an edge cross before they meet the primary edge.
+    """
+    of_pairs = np.empty(3 * len(pairs), dtype=np.int64)
+    ends = np.empty((3 * len(pairs), 2))
+    number = 0
+    c = np.empty((2, 3))
+    breaks = np.empty(6)
+    for k in range(len(pairs)):
+        i, j = edges[pairs[k, 0], 0], edges[pairs[k, 0], 1]
+        half, turn = 0.5 * (x[j] - x[i]), 0.5 * (normals[j] - normals[i])
+        middle, normal = 0.5 * (x[i] + x[j]), 0.5 * (normals[i] + normals[j])
+        breaks[4:] = -1.0, 1.0
+        for end in range(2):
+            away = middle - y[primary_edges[pairs[k, 1], end]]
+            c[end, 0] = _cross(away, normal)
+            c[end, 1] = _cross(half, normal) + _cross(away, turn)
+            c[end, 2] = _cross(half, turn)
+            breaks[2 * end], breaks[2 * end + 1] = _roots(c[end, 0], c[end, 1], c[end, 2])
+        for b in range(4):
+            if not -1.0 < breaks[b] < 1.0:
+                breaks[b] = 1.0
+        points = np.sort(breaks)
+        for low, high in zip(points[:-1], points[1:]):
+            s = 0.5 * (low + high)
+            f1 = c[0, 0] + s * (c[0, 1] + s * c[0, 2])
+            f2 = c[1, 0] + s * (c[1, 1] + s * c[1, 2])
+            if high - low >= SHORTEST_SEGMENT and f1 < 0.0 < f2:
+                of_pairs[number] = k
+                ends[number] = low, high
+                number += 1
+    return of_pairs[:number], ends[:number]

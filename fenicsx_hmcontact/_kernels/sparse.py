@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Sparse patterns: positions of entries, and the expansion of condensed rows and columns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def find_positions(indptr: Any, indices: Any, rows: Any, columns: Any) -> Any:
+    """Position of each (row, column) in a CSR pattern with sorted columns; -1 where it has none."""
+    positions = np.empty(rows.size, np.int32)
+    for k in range(rows.size):
+        low, high = indptr[rows[k]], indptr[rows[k] + 1]
+        end = high
+        while low < high:
+            middle = (low + high) // 2
+            if indices[middle] < columns[k]:
+                low = middle + 1
+            else:
+                high = middle
+        positions[k] = low if low < end and indices[low] == columns[k] else -1
+    return positions
+
+
+@njit(cache=True)
+def expand_columns(indptr: Any, indices: Any, rows: int, columns: int) -> Any:
+    """Column of each entry of a CSR matrix whose blocks of (rows, columns) have a CSR pattern."""
+    result = np.empty(indices.size * rows * columns, np.int32)
+    at = 0
+    for i in range(indptr.size - 1):
+        for _ in range(rows):
+            for k in range(indptr[i], indptr[i + 1]):
+                for b in range(columns):
+                    result[at] = indices[k] * columns + b
+                    at += 1
+    return result
+
+
+@njit(cache=True)
+def expand_entries(
+    rows: Any,
+    columns: Any,
+    global_index: Any,
+    constrained: Any,
+    slots: Any,
+    indptr: Any,
+    targets: Any,
+    coefficients: Any,
+) -> Any:
+    """Entries of T^T K T that stem from entries of K in a condensed row or column (Eq. 66).
+
+    Args:
+        rows: Local row of each entry of K.
+        columns: Local column of each entry.
+        global_index: Global number of each local unknown.
+        constrained: Whether a local unknown is prescribed; its rows and columns are left out.
+        slots: Row of T of each local unknown, -1 where T is the identity.
+        indptr: CSR offsets of the rows of T, columns of prescribed unknowns left out.
+        targets: Global columns of T.
+        coefficients: Entries of T.
+
+    Returns:
+        Entry of K that each new entry stems from, its factor, its global row and column.
+    """
+    count = 0
+    for k in range(rows.size):
+        r, c = slots[rows[k]], slots[columns[k]]
+        if r < 0 and c < 0:
+            continue
+        n_r = indptr[r + 1] - indptr[r] if r >= 0 else int(not constrained[rows[k]])
+        n_c = indptr[c + 1] - indptr[c] if c >= 0 else int(not constrained[columns[k]])
+        count += n_r * n_c
+    source = np.empty(count, np.int64)
+    factor = np.empty(count)
+    new_rows = np.empty(count, np.int32)
+    new_columns = np.empty(count, np.int32)
+    at = 0
+    for k in range(rows.size):
+        r, c = slots[rows[k]], slots[columns[k]]
+        if r < 0 and c < 0:
+            continue
+        if (r < 0 and constrained[rows[k]]) or (c < 0 and constrained[columns[k]]):
+            continue
+        for i in range(indptr[r] if r >= 0 else 0, indptr[r + 1] if r >= 0 else 1):
+            for j in range(indptr[c] if c >= 0 else 0, indptr[c + 1] if c >= 0 else 1):
+                source[at] = k
+                factor[at] = (coefficients[i] if r >= 0 else 1.0) * (
+                    coefficients[j] if c >= 0 else 1.0
+                )
+                new_rows[at] = targets[i] if r >= 0 else global_index[rows[k]]
+                new_columns[at] = targets[j] if c >= 0 else global_index[columns[k]]
+                at += 1
+    return source, factor, new_rows, new_columns

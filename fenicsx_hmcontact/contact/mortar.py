@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Mortar coupling of a secondary with a primary surface (Eqs. 55-65 of the paper).
+
+The dual basis is rebuilt on the covered part of every secondary edge; nodes of small coverage and
+prescribed nodes are dropped in a way that keeps linear fields, forces and water mass exact:
+
+    u_i = alpha_i + sum_m H_im u_m - sum_j C_ij u_j        i kept, m primary, j dropped
+
+so that a multiplier z_i [Pa] puts the force D_i z_i on i, D_i C_ij z_i on j, -D_i H_im z_i on m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array, csr_array
+from scipy.spatial import cKDTree
+
+from .._kernels import mortar as kernels
+from .surface import Surface, cross
+
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MortarOptions:
+    """How two surfaces find each other.
+
+    Attributes:
+        search_radius: Largest distance along the normal at which two edges face each other, as a
+            multiple of the longest edge of both surfaces; ``inf`` for any distance. Raise it for
+            fluid in gaps wider than that, lower it where surfaces see the wrong neighbour.
+        min_coverage: A secondary node is dropped where the primary surface covers a smaller part
+            of it than this. Below 0.5, since half of a node is covered where one of its two edges
+            is.
+
+    Raises:
+        ValueError: If a value is out of its range.
+    """
+
+    search_radius: float = 5.0
+    min_coverage: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range."""
+        if not self.search_radius > 0.0:
+            raise ValueError(f"search_radius must be positive, got {self.search_radius}.")
+        if not 0.0 <= self.min_coverage < 0.5:
+            raise ValueError(f"min_coverage must be in [0, 0.5), got {self.min_coverage}.")
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Gauss points on the covered part of a secondary surface, three a segment, g in all.
+
+    Attributes:
+        secondary_edge: Edge of the secondary surface; shape (g,).
+        primary_edge: Edge of the primary surface; shape (g,).
+        xi: Local coordinate on the secondary edge, from -1 to 1; shape (g,).
+        eta: Local coordinate on the primary edge; shape (g,).
+        weight: Length of the secondary surface that the point stands for [m]; shape (g,).
+    """
+
+    secondary_edge: npt.NDArray[np.int32]
+    primary_edge: npt.NDArray[np.int32]
+    xi: Float
+    eta: Float
+    weight: Float
+
+    @property
+    def secondary_shapes(self) -> Float:
+        """Shape functions of the two nodes of the secondary edge; shape (g, 2)."""
+        return _shapes(self.xi)
+
+    @property
+    def primary_shapes(self) -> Float:
+        """Shape functions of the two nodes of the primary edge; shape (g, 2)."""
+        return _shapes(self.eta)
+
+
+@dataclass(frozen=True, eq=False)
+class MortarOperator:
+    """Values of kept secondary nodes from those of primary and dropped nodes.
+
+    ``u_i = alpha_i + (H u_primary)_i - (C u_secondary)_i`` for kept i; rows of other nodes are
+    empty. Rows of H - C sum to 1.
+
+    Attributes:
+        D: Covered length of every secondary node [m], dropped ones included; shape (n_s,).
+        H: Weights of the primary nodes [-], D^-1 M of Eq. 64; shape (n_s, n_m).
+        C: Weights of the dropped neighbours [-]; shape (n_s, n_s).
+        coverage: Covered part of every secondary node [-]; shape (n_s,).
+        kept: Secondary nodes that carry a multiplier; shape (n_s,).
+        idle_edges: Secondary edges that are covered but carry nothing, both nodes being dropped;
+            shape (k,).
+    """
+
+    D: Float
+    H: csr_array
+    C: csr_array
+    coverage: Float
+    kept: Bool
+    idle_edges: npt.NDArray[np.intp]
+
+    @property
+    def dropped(self) -> Bool:
+        """Secondary nodes without a multiplier; shape (n_s,)."""
+        return ~self.kept
+
+    @property
+    def uncovered(self) -> Bool:
+        """Secondary nodes that no primary edge faces; shape (n_s,)."""
+        return self.D == 0.0
+
+
+def mortar_segments(
+    secondary: Surface, primary: Surface, options: MortarOptions = MortarOptions()
+) -> Segments:
+    """Find the parts of the secondary surface that the primary one covers.
+
+    Args:
+        secondary: Surface that carries the multipliers.
+        primary: Surface that faces it.
+        options: How far the surfaces look for each other.
+    """
+    longest = max(secondary.lengths.max(), primary.lengths.max())
+    middles = (s.points[s.edges].mean(axis=1) for s in (secondary, primary))
+    trees = [cKDTree(middle) for middle in middles]
+    candidates = trees[0].sparse_distance_matrix(
+        trees[1], (options.search_radius + 1.0) * longest, output_type="ndarray"
+    )
+    pairs = np.column_stack([candidates["i"], candidates["j"]])
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    pair, ends = kernels.segments(
+        secondary.points,
+        secondary.normals,
+        secondary.edges,
+        primary.points,
+        primary.edges,
+        pairs,
+    )
+    edge, primary_edge = pairs[pair].T
+    # Three points are exact for products of shape functions where the normal does not turn.
+    points, weights = np.polynomial.legendre.leggauss(3)
+    half = np.diff(ends) / 2
+    xi = ends.mean(axis=1, keepdims=True) + half * points
+    weight = half * weights * secondary.lengths[edge, None] / 2
+    x = _shapes(xi) @ secondary.points[secondary.edges[edge]]
+    n = _shapes(xi) @ secondary.normals[secondary.edges[edge]]
+    y = primary.points[primary.edges[primary_edge]]
+    first, second = (cross(x - y[:, end, None], n) for end in range(2))
+    eta = (first + second) / (first - second)
+
+    distance = np.linalg.norm(x - _shapes(eta) @ y, axis=2)[:, 1]
+    near = distance <= options.search_radius * longest
+    edges = np.column_stack([edge, primary_edge])[near].repeat(3, axis=0).astype(np.int32)
+    return Segments(*edges.T, *(values[near].ravel() for values in (xi, eta, weight)))
+
+
+def mortar_operator(
+    secondary: Surface,
+    primary: Surface,
+    segments: Segments,
+    dropped: Bool | None = None,
+    options: MortarOptions = MortarOptions(),
+) -> MortarOperator:
+    """Build the coupling of two surfaces from their segments.
+
+    Nodes of small coverage and nodes that lie on both surfaces are dropped besides the given ones.
+    The multiplier of an edge with one dropped node is constant, that of its other node.
+
+    Args:
+        secondary: Surface that carries the multipliers.
+        primary: Surface that faces it.
+        segments: Their segments.
+        dropped: Secondary nodes with a prescribed value; shape (n_s,). None for none.
+        options: Which coverage is too small.
+
+    Raises:
+        ValueError: If ``dropped`` is no mask of the secondary nodes.
+    """
+    n, edges = len(secondary.nodes), secondary.edges
+    dropped = np.zeros(n, dtype=bool) if dropped is None else np.asarray(dropped)
+    if dropped.shape != (n,) or dropped.dtype != bool:
+        raise ValueError(
+            f"Surface '{secondary.name}': dropped must be a mask of its {n} nodes, got shape "
+            f"{dropped.shape} of {dropped.dtype}."
+        )
+    nodes = edges[segments.secondary_edge]
+    shapes = segments.secondary_shapes
+    D = np.bincount(nodes.ravel(), (segments.weight[:, None] * shapes).ravel(), n)
+    coverage = D / np.bincount(edges.ravel(), np.repeat(secondary.lengths / 2, 2), n)
+    small = (coverage < options.min_coverage) | (D == 0.0)
+    kept = ~(dropped | small | np.isin(secondary.nodes, primary.nodes))
+
+    kept_here = kept[nodes]
+    point, end = np.nonzero(kept_here)
+    i, j = nodes[point, end], nodes[point, 1 - end]
+    multiplier = _cut(_dual_shapes(segments, len(edges)), kept_here)[point, end]
+    scaled = multiplier * segments.weight[point] / D[i]
+    H = _assemble(
+        scaled[:, None] * segments.primary_shapes[point],
+        i[:, None],
+        primary.edges[segments.primary_edge[point]],
+        (n, len(primary.nodes)),
+    )
+    beside = ~kept[j]
+    C = _assemble((scaled * shapes[point, 1 - end])[beside], i[beside], j[beside], (n, n))
+    idle = np.unique(segments.secondary_edge[~kept_here.any(axis=1)])
+    return MortarOperator(D, H, C, coverage, kept, idle)
+
+
+def covered_shapes(secondary: Surface, segments: Segments, kept: Bool) -> Float:
+    """Shape functions of the film between the surfaces at the Gauss points.
+
+    The film on an edge with one dropped node has the value of its other node, there is none on an
+    edge with two.
+
+    Args:
+        secondary: Surface that carries the values.
+        segments: Its covered part.
+        kept: Secondary nodes that carry a multiplier; shape (n_s,).
+
+    Returns:
+        Values of the two nodes of the secondary edge; shape (g, 2).
+    """
+    kept = kept[secondary.edges[segments.secondary_edge]]
+    return _cut(segments.secondary_shapes, kept)
+
+
+def covered_gradients(secondary: Surface, segments: Segments, kept: Bool) -> Float:
+    """Derivatives of the film's shape functions along the chain [1/m]; shape (g, 2).
+
+    Args:
+        secondary: Surface that carries the values.
+        segments: Its covered part.
+        kept: Secondary nodes that carry a multiplier; shape (n_s,).
+    """
+    kept = kept[secondary.edges[segments.secondary_edge]]
+    slope = np.where(kept.all(axis=1), 1.0 / secondary.lengths[segments.secondary_edge], 0.0)
+    return np.column_stack([-slope, slope])
+
+
+def covered_mass(
+    secondary: Surface, segments: Segments, kept: Bool, factor: Float | None = None
+) -> csr_array:
+    """Integrate N_i N_j over the film (Eqs. 80 and 82).
+
+    Args:
+        secondary: Surface that carries the values.
+        segments: Its covered part.
+        kept: Secondary nodes that carry a multiplier; shape (n_s,).
+        factor: Coefficient at the Gauss points; shape (g,). None for 1.
+
+    Returns:
+        Matrix [m, times the unit of the factor], zero for dropped nodes; shape (n_s, n_s).
+    """
+    return _gram(secondary, segments, covered_shapes(secondary, segments, kept), factor)
+
+
+def covered_stiffness(
+    secondary: Surface, segments: Segments, kept: Bool, factor: Float | None = None
+) -> csr_array:
+    """Integrate N_i,L N_j,L over the film (Eq. 81), L the length along the chain.
+
+    Args:
+        secondary: Surface that carries the values.
+        segments: Its covered part.
+        kept: Secondary nodes that carry a multiplier; shape (n_s,).
+        factor: Coefficient at the Gauss points; shape (g,). None for 1.
+
+    Returns:
+        Matrix [1/m, times the unit of the factor], zero for dropped nodes; shape (n_s, n_s).
+    """
+    return _gram(secondary, segments, covered_gradients(secondary, segments, kept), factor)
+
+
+def _shapes(xi: Float) -> Float:
+    return np.stack([1.0 - xi, 1.0 + xi], axis=-1) / 2.0
+
+
+def _dual_shapes(segments: Segments, num_edges: int) -> Float:
+    """Functions with int phi_i N_j = delta_ij int N_j over the covered part of an edge; (g, 2).
+
+    Written with centre c and variance v of that part instead of the inverse of int N_i N_j, which
+    loses all digits where the part is short. Equal to Eq. 57 where the edge is covered.
+    """
+    edge, xi, weight = segments.secondary_edge, segments.xi, segments.weight
+
+    def mean(values: Float) -> Float:
+        with np.errstate(invalid="ignore"):  # edges without segment, which nobody reads
+            of_edges = np.bincount(edge, weight * values, num_edges) / length
+        return of_edges[edge]
+
+    length = np.bincount(edge, weight, num_edges)
+    centre = mean(xi)
+    offset = xi - centre
+    slope = (1.0 - centre**2) / (2.0 * mean(offset**2))
+    return _shapes(centre) + np.column_stack([-slope, slope]) * offset[:, None]
+
+
+def _cut(shapes: Float, kept: Bool) -> Float:
+    """Replace the functions of edges with a dropped node: 1 for the kept node, 0 for dropped."""
+    return np.where(kept.all(axis=1)[:, None], shapes, kept)
+
+
+def _gram(secondary: Surface, segments: Segments, values: Float, factor: Float | None) -> csr_array:
+    nodes = secondary.edges[segments.secondary_edge]
+    weight = segments.weight if factor is None else segments.weight * factor
+    products = weight[:, None, None] * values[:, :, None] * values[:, None, :]
+    n = len(secondary.nodes)
+    return _assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
+
+
+def _assemble(
+    values: Float,
+    rows: npt.NDArray[np.int32],
+    columns: npt.NDArray[np.int32],
+    shape: tuple[int, int],
+) -> csr_array:
+    values, rows, columns = (a.ravel() for a in np.broadcast_arrays(values, rows, columns))
+    return coo_array((values, (rows, columns)), shape).tocsr()

@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Water in the gap between two surfaces."""
+
+from .film import film_conductance, mean_pressure
+from .law import GapFlow
+
+__all__ = ["GapFlow", "film_conductance", "mean_pressure"]

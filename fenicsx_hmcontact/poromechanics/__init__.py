@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Weak forms of consolidation, and analytic solutions."""
+
+from .small_strain import darcy_flux, equilibrium, pressure_projection, water_balance
+
+__all__ = ["darcy_flux", "equilibrium", "pressure_projection", "water_balance"]

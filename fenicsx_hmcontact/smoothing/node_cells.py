@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Node cells of a triangular mesh and the gradients smoothed over them (Section 3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from dolfinx.mesh import CellType, Mesh
+
+from .. import _compat
+from .._kernels import node_cells as kernels
+from .measure import Enhancement
+
+
+@dataclass(frozen=True)
+class NodeCells:
+    """Cells around the nodes that this rank owns, built from a third of each triangle around.
+
+    Attributes:
+        mesh: The mesh.
+        offsets: Where each cell's patch begins in ``nodes``; shape (n_cells + 1,).
+        nodes: Vertices of the triangles around each node, the node itself first.
+        gradients: For each entry of ``nodes`` the mean gradient of its shape function over the
+            cell [1/m] and the derivatives of the gradient along x and y [1/m^2] (Eqs. 31, 35);
+            shape (entries, 3, 2).
+        areas: Cell areas A_c [m^2] (Eq. 32); shape (n_cells,).
+        triangle_offsets: Where each cell's triangles begin in ``triangles``; shape (n_cells + 1,).
+        triangles: Triangles around each node.
+        weights: Their smoothing coefficients alpha_I (Eq. 32); sum 1 over each cell.
+        vertices: Vertices of each local triangle; shape (n_triangles, 3).
+        points: Coordinates of the vertices [m]; shape (n_vertices, 2).
+    """
+
+    mesh: Mesh
+    offsets: npt.NDArray[np.int32]
+    nodes: npt.NDArray[np.int32]
+    gradients: npt.NDArray[np.float64]
+    areas: npt.NDArray[np.float64]
+    triangle_offsets: npt.NDArray[np.int32]
+    triangles: npt.NDArray[np.int32]
+    weights: npt.NDArray[np.float64]
+    vertices: npt.NDArray[np.int32]
+    points: npt.NDArray[np.float64]
+
+    def __len__(self) -> int:
+        """Return the number of node cells on this rank."""
+        return self.areas.size
+
+    def block_dofs(self, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """Block dof of each local vertex in a continuous P1 space; shape (n_vertices,)."""
+        dofs = np.empty(self.points.shape[0], np.int32)
+        dofs[self.vertices.ravel()] = space.dofmap.list.ravel()
+        return dofs
+
+    def nodal_values(self, function: fem.Function) -> npt.NDArray[np.float64]:
+        """Values of a P1 function at the local vertices; shape (n_vertices, components)."""
+        space = function.function_space
+        return function.x.array.reshape(-1, space.dofmap.bs)[self.block_dofs(space)]
+
+    def cell_means(self, function: fem.Function) -> npt.NDArray[np.float64]:
+        """Means of a function that is constant on triangles; shape (n_cells, components)."""
+        dofmap = function.function_space.dofmap
+        values = function.x.array.reshape(-1, dofmap.bs)[dofmap.list[self.triangles, 0]]
+        weighted = self.weights[:, None] * values
+        return np.add.reduceat(weighted, self.triangle_offsets[:-1], axis=0)
+
+    def gradient(
+        self, function: fem.Function, enhancement: Enhancement = "deviatoric"
+    ) -> npt.NDArray[np.float64]:
+        """Evaluate the smoothed gradient of a P1 function at the smoothing points (Eq. 37).
+
+        Args:
+            function: Scalar or vector P1 function; its ghosts must be up to date.
+            enhancement: As in `node_cells_measure`.
+
+        Returns:
+            Gradients; shape (n_cells, 4, components, 2), one point a cell where the enhancement
+            is ``"none"``. The points lie at -r_c and r_c along x, then along y (Eq. 38).
+        """
+        values = self.nodal_values(function)
+        n_points = points_per_cell(enhancement)
+        arrays = (self.offsets, self.nodes, self.gradients, self.areas, values)
+        result = kernels.point_gradients(*arrays, n_points)
+        if enhancement == "deviatoric" and values.shape[1] == 2:
+            mean = kernels.point_gradients(*arrays, 1)
+            excess = np.trace(mean - result, axis1=2, axis2=3)
+            result += 0.5 * excess[..., None, None] * np.eye(2)
+        return result
+
+
+def points_per_cell(enhancement: Enhancement) -> int:
+    """Return the number of smoothing points in a node cell."""
+    return 1 if enhancement == "none" else 4
+
+
+def create_node_cells(mesh: Mesh) -> NodeCells:
+    """Build the node cells of a mesh. Collective.
+
+    Args:
+        mesh: Mesh of straight triangles in the plane. On several ranks it must have all triangles
+            around every owned vertex: see `vertex_ghost_partitioner`.
+
+    Raises:
+        ValueError: If the mesh is not of straight triangles in the plane.
+        RuntimeError: If triangles around an owned vertex are missing on a rank.
+    """
+    topology = mesh.topology
+    if topology.cell_type != CellType.triangle or mesh.geometry.dim != 2:
+        raise ValueError(
+            f"node cells need a mesh of triangles in the plane, not {topology.cell_type.name} cells"
+            f" in {mesh.geometry.dim} dimensions"
+        )
+    if mesh.geometry.cmap.degree != 1:
+        raise ValueError("node cells need straight triangles; this mesh has curved ones")
+    topology.create_connectivity(2, 0)
+    topology.create_connectivity(0, 2)
+    vertex_map = topology.index_map(0)
+    n_owned = vertex_map.size_local
+    n_vertices = n_owned + vertex_map.num_ghosts
+    vertices = topology.connectivity(2, 0).array.reshape(-1, 3)
+    around = topology.connectivity(0, 2)
+    points = np.empty((n_vertices, 2))
+    points[vertices.ravel()] = mesh.geometry.x[_compat.cell_nodes(mesh).ravel(), :2]
+
+    _check_complete(mesh, vertices, around.offsets)
+    offsets, nodes = kernels.patch_nodes(
+        vertices, around.offsets, around.array, n_owned, n_vertices
+    )
+    areas, gradients = kernels.smoothed_gradients(
+        vertices, points, around.offsets, around.array, offsets, nodes
+    )
+    triangle_offsets = around.offsets[: n_owned + 1].copy()
+    triangles = around.array[: triangle_offsets[-1]].copy()
+    corner = points[vertices[triangles]]
+    edge, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    thirds = np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]) / 6.0
+    weights = thirds / np.repeat(areas, np.diff(triangle_offsets))
+    return NodeCells(
+        mesh,
+        offsets,
+        nodes,
+        gradients,
+        areas,
+        triangle_offsets,
+        triangles,
+        weights,
+        vertices,
+        points,
+    )
+
+
+def _check_complete(
+    mesh: Mesh, vertices: npt.NDArray[np.int32], around_offsets: npt.NDArray[np.int32]
+) -> None:
+    """Compare the triangles that this rank sees around its vertices with those that exist."""
+    topology = mesh.topology
+    vertex_map = topology.index_map(0)
+    count = la.vector(vertex_map, 1, dtype=np.int64)
+    owned = vertices[: topology.index_map(2).size_local]
+    count.array[:] = np.bincount(owned.ravel(), minlength=count.array.size)
+    count.scatter_reverse(la.InsertMode.add)
+    n_owned = vertex_map.size_local
+    missing = int(np.sum(np.diff(around_offsets)[:n_owned] != count.array[:n_owned]))
+    missing = mesh.comm.allreduce(missing)
+    if missing:
+        raise RuntimeError(
+            f"the mesh lacks triangles around {missing} vertices at rank boundaries; "
+            "create it with partitioner=fenicsx_hmcontact.vertex_ghost_partitioner()"
+        )

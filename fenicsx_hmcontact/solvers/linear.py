@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The global linear system: PETSc matrix, symmetric diagonal scaling, and the solver."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+from petsc4py import PETSc
+
+import numpy as np
+import numpy.typing as npt
+
+DEFAULT_OPTIONS = {
+    "ksp_type": "preonly",
+    "pc_type": "lu",
+    "pc_factor_mat_solver_type": "mumps",
+}
+"""Direct solver: the systems are indefinite, and unsymmetric as soon as something slides."""
+
+_numbers = itertools.count()
+
+
+class LinearSolver:
+    """Matrix in coordinate form with a fixed pattern, scaled symmetrically before it is solved.
+
+    Args:
+        comm: Communicator.
+        n_owned: Number of rows of this rank.
+        rows: Global row of each entry; negative entries are dropped. Other ranks' rows are allowed.
+        columns: Global column of each entry.
+        options: PETSc options of the solver; `DEFAULT_OPTIONS` where None.
+
+    Attributes:
+        ksp: The PETSc solver, for the user to look at or change.
+        matrix: The PETSc matrix, scaled: unit diagonal up to sign.
+        scale: Factors 1/sqrt(abs(K_ii)) of the owned rows (Eq. 95).
+        n_factorisations: How often the matrix has been set.
+    """
+
+    def __init__(
+        self,
+        comm: Any,
+        n_owned: int,
+        rows: npt.NDArray[np.int32],
+        columns: npt.NDArray[np.int32],
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.matrix = PETSc.Mat().create(comm)
+        self.matrix.setSizes(((n_owned, None), (n_owned, None)))
+        self.matrix.setType(PETSc.Mat.Type.AIJ)
+        self.matrix.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, False)
+        # PETSc works in the index arrays it is given: they are not usable afterwards.
+        self.matrix.setPreallocationCOO(rows, columns)
+        self.scale = np.ones(n_owned)
+        self.n_factorisations = 0
+        self._x, self._b = self.matrix.createVecs()
+        self.ksp = PETSc.KSP().create(comm)
+        prefix = f"hmcontact_{next(_numbers)}_"
+        self.ksp.setOptionsPrefix(prefix)
+        database = PETSc.Options()
+        options = DEFAULT_OPTIONS if options is None else options
+        for name, value in options.items():
+            database[prefix + name] = value
+        self.ksp.setOperators(self.matrix)
+        self.ksp.setFromOptions()
+        for name in options:
+            del database[prefix + name]
+
+    def set_values(self, values: npt.NDArray[np.float64]) -> None:
+        """Set the entries, in the order of the pattern, and scale the matrix. Collective."""
+        self.matrix.setValuesCOO(values)
+        diagonal = np.abs(self.matrix.getDiagonal().array)
+        self.scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 1)
+        factors = self._x.duplicate()
+        factors.array[:] = self.scale
+        self.matrix.diagonalScale(factors, factors)
+        self.ksp.setOperators(self.matrix)
+        self.n_factorisations += 1
+
+    def solve(self, b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Solve for the owned unknowns. Collective.
+
+        Args:
+            b: Owned part of the right-hand side; shape (n_owned,).
+
+        Returns:
+            Owned part of the solution; shape (n_owned,).
+
+        Raises:
+            RuntimeError: If the solver fails, with PETSc's reason.
+        """
+        self._b.array[:] = self.scale * b
+        self.ksp.solve(self._b, self._x)
+        reason = self.ksp.getConvergedReason()
+        if reason < 0 or not np.isfinite(self._x.norm()):
+            raise RuntimeError(
+                f"the linear system could not be solved (PETSc reason {reason}): "
+                "is every body held, and every pressure field drained somewhere or stored?"
+            )
+        return self.scale * self._x.array

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Newton's method on the scaled, condensed equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class NewtonOptions:
+    """When Newton's method stops.
+
+    Attributes:
+        tolerance: Largest scaled residual of each balance, relative to the scaled increment of the
+            step [-]. Lower it for figures to round-off, raise it for quick looks.
+        max_iterations: Most iterations of one step [-]. Raise it for hard steps.
+    """
+
+    tolerance: float = 1e-10
+    max_iterations: int = 25
+
+    def __post_init__(self) -> None:
+        """Refuse values that make no sense."""
+        if not 0.0 < self.tolerance < 1.0:
+            raise ValueError(f"tolerance is {self.tolerance}; it must lie between 0 and 1")
+        if self.max_iterations < 1:
+            raise ValueError(f"max_iterations is {self.max_iterations}; it must be at least 1")
+
+
+class ConvergenceError(RuntimeError):
+    """Newton's method did not converge.
+
+    Attributes:
+        history: Largest scaled residual relative to the increment, after each iteration.
+    """
+
+    def __init__(self, message: str, history: list[float]) -> None:
+        super().__init__(message)
+        self.history = history
+
+
+@dataclass
+class NewtonResult:
+    """What a converged step took.
+
+    Attributes:
+        iterations: Number of linear solves.
+        history: Residual of each field after each solve, scaled and relative to the increment.
+    """
+
+    iterations: int = 0
+    history: list[list[float]] = field(default_factory=list)
+
+
+class System(Protocol):
+    """What `solve_newton` needs of the equations; arrays hold the owned unknowns."""
+
+    field_names: list[str]
+    comm: MPI.Comm
+
+    def residual(self) -> None:
+        """Assemble the residual at the current state."""
+
+    def increment(self) -> npt.NDArray[np.float64]:
+        """Assemble the tangent where it has changed, solve, and add the increment."""
+
+    def scaled_residuals(self) -> list[float]:
+        """Norm of the scaled residual of each field, free unknowns only."""
+
+    def scaled_norms(self, increment: npt.NDArray[np.float64]) -> tuple[float, float]:
+        """Norms of a scaled increment and of the scaled unknowns themselves."""
+
+
+ROUND_OFF = 1e3 * float(np.finfo(np.float64).eps)
+"""Residual that is round-off, relative to the scaled unknowns themselves."""
+
+
+def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
+    """Iterate until the residual of every field is small.
+
+    The symmetric scaling that gives the matrix a unit diagonal makes increments and residuals of all
+    fields comparable, whatever the units: residuals are measured against the step's largest scaled
+    increment. A residual that is round-off of the state itself is accepted as zero.
+
+    Args:
+        system: The equations.
+        options: When to stop.
+
+    Returns:
+        The number of iterations and the residuals on the way.
+
+    Raises:
+        ConvergenceError: If the residual does not become small, or is not a number.
+    """
+    result = NewtonResult()
+    largest_increment = 0.0
+    system.residual()
+    worst: list[float] = []
+    while result.iterations < options.max_iterations:
+        increment = system.increment()
+        system.residual()
+        result.iterations += 1
+        size, state = system.scaled_norms(increment)
+        largest_increment = max(largest_increment, size)
+        residuals = system.scaled_residuals()
+        floor = ROUND_OFF * state
+        relative = [r / largest_increment if largest_increment > 0.0 else r for r in residuals]
+        result.history.append(relative)
+        worst.append(max(relative))
+        if not np.all(np.isfinite(residuals)):
+            name = system.field_names[int(np.argmin(np.isfinite(residuals)))]
+            raise ConvergenceError(f"the residual of {name} is not a number", worst)
+        if all(r <= max(options.tolerance * largest_increment, floor) for r in residuals):
+            return result
+    name = system.field_names[int(np.argmax(result.history[-1]))]
+    raise ConvergenceError(
+        f"no convergence in {options.max_iterations} iterations: the residual of {name} is still "
+        f"{worst[-1]:.1e} of the increment",
+        worst,
+    )

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Mortar coupling against exact integrals, exact fields and an independent quadrature."""
+
+from itertools import pairwise
+
+from mpi4py import MPI
+
+import basix.ufl
+import numpy as np
+import pytest
+from dolfinx import mesh as dmesh
+
+from fenicsx_hmcontact.contact.mortar import (
+    MortarOptions,
+    Segments,
+    _dual_shapes,
+    covered_mass,
+    covered_shapes,
+    covered_stiffness,
+    mortar_operator,
+    mortar_segments,
+)
+from fenicsx_hmcontact.contact.surface import Surface, gather_surface
+
+RATIOS = [(7, 11), (5, 17), (19, 4), (6, 6)]
+SLOPES = [0.0, 0.3, -0.7]
+ANY = MortarOptions(search_radius=np.inf)
+
+
+def chain(name, points, first=0):
+    """Surface of one chain along the points, its global nodes numbered from ``first``."""
+    ids = np.arange(len(points)) + first
+    edges = np.column_stack([np.arange(len(points) - 1), np.arange(1, len(points))])
+    return Surface(name, ids, ids, np.array(points, dtype=float), edges.astype(np.int32))
+
+
+def pair(s, m, shape=lambda x: 0 * x):
+    """Secondary surface above, with nodes over the abscissas s, and primary below, over m."""
+    upper, lower = np.asarray(s, dtype=float), np.asarray(m, dtype=float)[::-1]
+    return (
+        chain("upper", np.column_stack([upper, shape(upper)])),
+        chain("lower", np.column_stack([lower, shape(lower)]), first=1000),
+    )
+
+
+def uneven(n, start=0.0, end=1.0, seed=0):
+    """Points n + 1 that divide an interval into parts of different lengths."""
+    parts = np.random.default_rng(seed).uniform(0.5, 1.5, n)
+    return start + (end - start) * np.concatenate([[0], np.cumsum(parts)]) / parts.sum()
+
+
+def mask(n, *true):
+    return np.isin(np.arange(n), np.arange(n)[list(true)])
+
+
+def linear(surface):
+    """Three fields that span the linear ones; shape (n, 3)."""
+    return np.column_stack([np.ones(len(surface.nodes)), surface.points])
+
+
+def mismatch(operator, secondary, primary):
+    """Largest error of u = H u_m - C u_s for linear u at the kept nodes."""
+    u = operator.H @ linear(primary) - operator.C @ linear(secondary)
+    return np.abs(u - linear(secondary))[operator.kept].max(initial=0)
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("slope", SLOPES)
+def test_full_coverage_is_exact_on_straight_interfaces(ratio, slope):
+    secondary, primary = pair(uneven(ratio[0]), uneven(ratio[1], seed=1), lambda x: slope * x)
+    segments = mortar_segments(secondary, primary)
+    operator = mortar_operator(secondary, primary, segments)
+    assert operator.kept.all() and not operator.uncovered.any()
+    assert operator.C.nnz == 0 and len(operator.idle_edges) == 0
+    assert np.allclose(operator.coverage, 1, rtol=0, atol=1e-14)
+    half = np.concatenate([[0], secondary.lengths / 2, [0]])
+    assert np.allclose(operator.D, half[1:] + half[:-1], rtol=1e-14, atol=0)
+    assert np.allclose(operator.H.sum(axis=1), 1, rtol=0, atol=1e-14)
+    assert mismatch(operator, secondary, primary) < 1e-14
+    # The primary surface receives the consistent nodal forces of a uniform traction.
+    half = np.concatenate([[0], primary.lengths / 2, [0]])
+    assert np.allclose(operator.H.T @ operator.D, half[1:] + half[:-1], rtol=1e-13, atol=0)
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+def test_matching_nodes_are_coupled_one_to_one(slope):
+    x = uneven(9)
+    secondary, primary = pair(x, x, lambda x: slope * x)
+    operator = mortar_operator(secondary, primary, mortar_segments(secondary, primary))
+    assert np.allclose(operator.H.toarray(), np.eye(10)[::-1], rtol=0, atol=1e-14)
+
+
+def test_dual_basis_is_biorthogonal_also_on_covered_parts():
+    secondary, primary = pair(uneven(8), uneven(5, 0.31, 0.77), lambda x: 0.1 * np.sin(5 * x))
+    segments = mortar_segments(secondary, primary)
+    dual, shapes, w = _dual_shapes(segments, 8), segments.secondary_shapes, segments.weight
+    products = np.zeros((8, 2, 2))
+    np.add.at(
+        products, segments.secondary_edge, w[:, None, None] * dual[:, :, None] * shapes[:, None, :]
+    )
+    lengths = np.zeros((8, 2))
+    np.add.at(lengths, segments.secondary_edge, w[:, None] * shapes)
+    covered = lengths.sum(axis=1) / secondary.lengths
+    assert np.any((covered > 0.01) & (covered < 0.99)) and np.any(covered == 0)
+    assert np.abs(products - lengths[:, :, None] * np.eye(2)).max() < 1e-16
+    whole = np.isin(segments.secondary_edge, np.flatnonzero(covered > 1 - 1e-14))
+    assert whole.sum() > 3
+    paper = np.column_stack([1 - 3 * segments.xi, 1 + 3 * segments.xi]) / 2  # Eq. 57
+    assert np.allclose(dual[whole], paper[whole], rtol=0, atol=1e-14)
+
+
+COVERED = [0.9, 0.5, 0.23, 0.1, 1e-3, 1e-8]
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+@pytest.mark.parametrize("part", COVERED)
+@pytest.mark.parametrize("prescribed", [(), (0,), (0, -1), (3,)])
+def test_partial_coverage_keeps_linear_fields_force_and_moment(slope, part, prescribed):
+    # The primary ends inside the sixth of seven secondary edges and begins inside the first.
+    primary_points = uneven(11, 0.03, (5 + part) / 7, seed=2)
+    secondary, primary = pair(np.linspace(0, 1, 8), primary_points, lambda x: slope * x)
+    segments = mortar_segments(secondary, primary)
+    operator = mortar_operator(secondary, primary, segments, mask(8, *prescribed))
+    small = [6] if part**2 / 2 < 0.2 else []
+    assert np.array_equal(operator.dropped, mask(8, *prescribed, *small, 7))
+    assert np.array_equal(operator.uncovered, mask(8, 7))
+    rows = (operator.H.sum(axis=1) - operator.C.sum(axis=1))[operator.kept]
+    assert np.allclose(rows, 1, rtol=0, atol=1e-14)
+    assert np.abs(operator.H.toarray()[operator.dropped]).max() == 0
+    assert mismatch(operator, secondary, primary) < 1e-13
+
+    uniform = np.tile([0.3, -1.0], (8, 1))
+    for z in [uniform, np.random.default_rng(3).normal(size=(8, 2))]:
+        nodal = (operator.D * operator.kept)[:, None] * z
+        f_s, f_m = nodal + operator.C.T @ nodal, -operator.H.T @ nodal
+        assert np.abs(f_s.sum(axis=0) + f_m.sum(axis=0)).max() < 1e-15
+        moment = sum(
+            np.sum(p[:, 0] * f[:, 1] - p[:, 1] * f[:, 0])
+            for p, f in [(secondary.points, f_s), (primary.points, f_m)]
+        )
+        assert abs(moment) < 1e-15
+        if z is uniform:
+            # Both sides receive the consistent nodal forces of the covered part.
+            half = np.concatenate([[0], primary.lengths / 2, [0]])
+            assert np.allclose(f_m, -(half[1:] + half[:-1])[:, None] * z[0], rtol=0, atol=1e-15)
+            assert np.allclose(f_s, operator.D[:, None] * z[0], rtol=0, atol=1e-15)
+    assert len(operator.idle_edges) == 0
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.2])
+@pytest.mark.parametrize("part", [1e-3, 1e-6, 1e-8])
+def test_tiny_coverage_stays_finite(theta, part):
+    options = MortarOptions(min_coverage=theta)
+    secondary, primary = pair(np.linspace(0, 1, 6), np.linspace(0, (3 + part) / 5, 8))
+    segments = mortar_segments(secondary, primary)
+    operator = mortar_operator(secondary, primary, segments, options=options)
+    assert operator.coverage[4] == pytest.approx(part**2 / 2, rel=1e-6, abs=0)
+    assert np.array_equal(operator.dropped, mask(6, 5, *([] if theta == 0.0 else [4])))
+    assert np.isfinite(operator.H.data).all() and np.isfinite(operator.C.data).all()
+    # The row of a node kept with next to no coverage extrapolates, which costs digits: not asked.
+    error = operator.H @ linear(primary) - operator.C @ linear(secondary) - linear(secondary)
+    assert np.abs(error[:4]).max() < 1e-14
+
+
+@pytest.mark.parametrize("part", [0.44, 0.46])
+def test_node_is_dropped_below_the_smallest_coverage(part):
+    secondary, primary = pair(np.arange(4), [0, 1, 2 + part])
+    operator = mortar_operator(secondary, primary, mortar_segments(secondary, primary))
+    assert operator.coverage[3] == pytest.approx(part**2, rel=1e-14)
+    assert operator.kept[3] == (part**2 >= 0.2)
+
+
+def test_two_prescribed_neighbours_leave_an_idle_edge():
+    secondary, primary = pair(np.linspace(0, 1, 6), uneven(7))
+    segments = mortar_segments(secondary, primary)
+    operator = mortar_operator(secondary, primary, segments, mask(6, 0, 1, 4))
+    assert operator.idle_edges.tolist() == [0]
+    assert operator.kept.tolist() == [False, False, True, True, False, True]
+    assert mismatch(operator, secondary, primary) < 1e-13
+    # C_ij D_i = int N_j over the one edge between them
+    scaled = operator.C.toarray() * operator.D[:, None]
+    expected = np.zeros((6, 6))
+    expected[[2, 3, 5], [1, 4, 4]] = 0.1
+    assert np.allclose(scaled, expected, rtol=0, atol=1e-15)
+
+
+def test_node_on_both_surfaces_is_dropped():
+    # A lens whose two faces meet in the points (0, 0) and (1, 0)
+    x = uneven(8)
+    upper = chain("upper", np.column_stack([x, 0.1 * x * (1 - x)]))
+    y = uneven(5, seed=4)[::-1]
+    lower = chain("lower", np.column_stack([y, 0 * y]), first=100)
+    lower.nodes[[0, -1]] = upper.nodes[[-1, 0]]
+    operator = mortar_operator(upper, lower, mortar_segments(upper, lower))
+    assert np.array_equal(operator.dropped, mask(9, 0, -1))
+    rows = (operator.H.sum(axis=1) - operator.C.sum(axis=1))[operator.kept]
+    assert np.allclose(rows, 1, rtol=0, atol=1e-14)
+
+
+def wavy(x):
+    return 0.08 * np.sin(7 * x) + 0.05 * x**2
+
+
+def reference(secondary, primary, radius):
+    """D and M by rays, 2 x 2 systems, inverted mass matrices and 20 Gauss points a smooth part."""
+    points, weights = np.polynomial.legendre.leggauss(20)
+    D, M = np.zeros(len(secondary.points)), np.zeros((len(secondary.points), len(primary.points)))
+    inward = primary.tangents @ np.array([[0, 1], [-1, 0]])
+    for edge in secondary.edges:
+        (x1, x2), (n1, n2) = secondary.points[edge], secondary.normals[edge]
+
+        def ray(s, x1=x1, x2=x2, n1=n1, n2=n2):
+            return (1 - s) / 2 * x1 + (1 + s) / 2 * x2, (1 - s) / 2 * n1 + (1 + s) / 2 * n2
+
+        def miss(s, y, ray=ray):
+            x, n = ray(s)
+            return (x[0] - y[0]) * n[1] - (x[1] - y[1]) * n[0]
+
+        breaks = {-1.0, 1.0}
+        for y in primary.points:
+            roots = np.roots(np.polyfit([-1, 0, 1], [miss(s, y) for s in (-1, 0, 1)], 2))
+            breaks |= {r.real for r in roots if abs(r.imag) < 1e-12 and abs(r.real) < 1}
+        breaks = np.array(sorted(breaks))
+        Me, De, mixed = np.zeros((2, 2)), np.zeros(2), np.zeros((2, len(primary.points)))
+        for low, high in pairwise(breaks):
+            for s, w in zip(points, weights, strict=True):
+                s = (low + high) / 2 + (high - low) / 2 * s
+                w *= (high - low) / 4 * np.hypot(*(x2 - x1))
+                x, n = ray(s)
+                for k, m in enumerate(primary.edges):
+                    (y1, y2), away = primary.points[m], -n / np.hypot(*n)
+                    if inward[k] @ n >= 0:
+                        continue
+                    r, distance = np.linalg.solve(np.column_stack([y2 - y1, -away]), x - y1)
+                    if 0 <= r <= 1 and abs(distance) <= radius:
+                        N = np.array([(1 - s) / 2, (1 + s) / 2])
+                        Me += w * np.outer(N, N)
+                        De += w * N
+                        mixed[:, m] += w * np.outer(N, [1 - r, r])
+        if De.any():
+            D[edge] += De
+            M[edge] += np.diag(De) @ np.linalg.inv(Me) @ mixed
+    return D, M
+
+
+@pytest.mark.parametrize(
+    ("s", "m"),
+    [
+        (uneven(7), uneven(11, seed=1)),
+        (uneven(6), uneven(19, -0.2, 0.83, seed=1)),
+        (uneven(17, -0.4, 1.1), uneven(5, seed=1)),
+        (uneven(2), uneven(1, 0.2, 0.9)),
+    ],
+)
+def test_curved_surfaces_agree_with_independent_quadrature(s, m):
+    upper, lower = pair(s, m, wavy)
+    lower = lower.at(lower.points - [0, 0.03])
+    for secondary, primary in [(upper, lower), (lower, upper)]:
+        options = MortarOptions(min_coverage=0.0)
+        segments = mortar_segments(secondary, primary, options)
+        operator = mortar_operator(secondary, primary, segments, options=options)
+        D, M = reference(secondary, primary, 5)
+        # Three Gauss points are not exact where the normal turns along the edge.
+        assert np.allclose(operator.D, D, rtol=0, atol=1e-12)
+        assert np.abs(operator.D[:, None] * operator.H.toarray() - M).max() < 1e-6
+        assert np.array_equal(operator.uncovered, D == 0)
+        rows = operator.H.sum(axis=1)[operator.kept]
+        assert np.allclose(rows, 1, rtol=0, atol=1e-13)

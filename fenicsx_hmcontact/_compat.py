@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
+
+from petsc4py import PETSc
 
 import dolfinx
 import ffcx
 import ffcx.codegeneration.jit
-from petsc4py import PETSc
-
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -100,7 +100,7 @@ _INTEGRALS = {
 def bind_form(
     compiled: CompiledForm,
     mesh: Mesh,
-    replace: Mapping[Any, Any] | None = None,
+    successor: Callable[[Any], Any] = lambda old: old,
     entity_maps: Sequence[Any] | None = None,
 ) -> fem.Form:
     """Give a compiled form its mesh, functions, constants and tags.
@@ -108,16 +108,11 @@ def bind_form(
     Args:
         compiled: The compiled form.
         mesh: Mesh to integrate over.
-        replace: What takes the place of the functions, constants, spaces and tags of the form it
-            was compiled from; each stands for itself where it is not listed.
+        successor: What takes the place of a function, constant, space or tags of the form it was
+            compiled from.
         entity_maps: Maps to other meshes that functions of the form live on.
     """
     form, ufcx = compiled.ufl_form, compiled.ufcx_form
-    known = {id(old): new for old, new in (replace or {}).items()}
-
-    def new(old: Any) -> Any:
-        return known.get(id(old), old)
-
     (data,) = form.subdomain_data().values()
     offsets = [ufcx.form_integral_offsets[i] for i in range(len(fem.IntegralType) + 1)]
     subdomains = {}
@@ -127,14 +122,14 @@ def bind_form(
             ufcx.form_integral_ids[k] for k in range(offsets[kind.value], offsets[kind.value + 1])
         ]
         given = next((tag for tag in tags if tag is not None), None)
-        subdomains[kind] = get_integration_domains(kind, new(given), ids)
+        subdomains[kind] = get_integration_domains(kind, successor(given), ids)
     return fem.create_form(
         compiled,
-        [new(argument.ufl_function_space()) for argument in form.arguments()],
+        [successor(argument.ufl_function_space()) for argument in form.arguments()],
         mesh,
         subdomains,
-        {f: new(f) for f in form.coefficients()},
-        {c: new(c) for c in form.constants()},
+        {f: successor(f) for f in form.coefficients()},
+        {c: successor(c) for c in form.constants()},
         entity_maps,
     )
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Contact for a model of the user's own: spaces, UFL residual and boundary conditions stay theirs."""
+"""Contact for a model of one's own: spaces, UFL residual and conditions stay the user's."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy.typing as npt
 import scipy.sparse
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives
 
 from . import _compat
 from .contact import (
@@ -29,15 +28,8 @@ from .contact import (
     surface_dofs,
 )
 from .gap_flow import film_conductance
-from .smoothing import (
-    NodeCells,
-    PointForm,
-    SmoothedTerm,
-    check_smoothable,
-    create_node_cells,
-    point_forms,
-    split_by_measure,
-)
+from .model import CompiledBlock, CompiledModel, compile_model
+from .smoothing import SmoothedTerm, create_node_cells
 from .solvers import (
     FieldLayout,
     LinearSolver,
@@ -92,7 +84,8 @@ class ContactProblem:
 
     Args:
         residual: The residual F in F(u) = 0: one form, with test functions of a
-            `ufl.MixedFunctionSpace` where there are several fields, or one form a field.
+            `ufl.MixedFunctionSpace` where there are several fields, or one form a field. Or the
+            ``model`` of a problem on another mesh, to use its compiled forms again.
         unknowns: The function, or the functions in the order of the residual's test functions.
         bcs: Dirichlet conditions. Which unknowns they prescribe must not change; values may.
         pairs: Contact pairs.
@@ -100,6 +93,13 @@ class ContactProblem:
         newton: When Newton's method stops.
         petsc_options: Options of the linear solver, without prefix; MUMPS where None.
         entity_maps: Maps to submeshes that functions in the residual live on.
+        replace: With a compiled model: what takes the place of its functions, constants and tags;
+            its unknowns and their spaces are replaced by themselves.
+
+    Attributes:
+        model: The compiled forms.
+        condensation: How secondary unknowns depend on others.
+        node_cells: Node cells of the mesh, None where nothing is smoothed.
 
     Raises:
         ValueError: If forms, fields, pairs and conditions do not fit together; the message names
@@ -111,7 +111,7 @@ class ContactProblem:
 
     def __init__(
         self,
-        residual: ufl.Form | Sequence[ufl.Form],
+        residual: ufl.Form | Sequence[ufl.Form] | CompiledModel,
         unknowns: fem.Function | Sequence[fem.Function],
         *,
         bcs: Sequence[fem.DirichletBC] = (),
@@ -120,6 +120,7 @@ class ContactProblem:
         newton: NewtonOptions = NewtonOptions(),
         petsc_options: Mapping[str, Any] | None = None,
         entity_maps: Sequence[Any] | None = None,
+        replace: Mapping[Any, Any] | None = None,
     ) -> None:
         self.unknowns = [unknowns] if isinstance(unknowns, fem.Function) else list(unknowns)
         self.bcs = list(bcs)
@@ -127,11 +128,14 @@ class ContactProblem:
         self.comm = self.unknowns[0].function_space.mesh.comm
         self.field_names = [u.name for u in self.unknowns]
         self.layout = FieldLayout([u.function_space for u in self.unknowns])
-        self.node_cells: NodeCells | None = None
         self._time_step = time_step
         self._petsc_options = petsc_options
+        if isinstance(residual, CompiledModel):
+            self.model = residual
+        else:
+            self.model = compile_model(residual, self.unknowns, entity_maps)
+        self._bind(self.model, self.model.successor(self.unknowns, replace or {}))
 
-        self._compile(_blocks(residual, len(self.unknowns)), entity_maps)
         self._constrained = self._prescribed_unknowns()
         self._couplings = [self._couple(pair) for pair in pairs]
         self._check_pairs()
@@ -234,58 +238,34 @@ class ContactProblem:
 
     # --- building ---------------------------------------------------------------------------
 
-    def _compile(self, residual: list[ufl.Form | None], entity_maps: Sequence[Any] | None) -> None:
-        """Compile residual and tangent, all in one module, and bind them to the mesh."""
-        for form in residual:
-            if form is not None:
-                check_smoothable(form)
-        trials = [ufl.TrialFunction(u.function_space) for u in self.unknowns]
-        tangent = [
-            [
-                None if form is None else expand_derivatives(ufl.derivative(form, u, du))
-                for u, du in zip(self.unknowns, trials, strict=True)
-            ]
-            for form in residual
-        ]
-        flat = residual + [form for row in tangent for form in row]
-        smoothed = [point_forms(form) for form in flat]
-        rest = [split_by_measure(form)[1] for form in flat]
-        forms = [p.form for group in smoothed for p in group] + [f for f in rest if f is not None]
-        compiled = iter(_compat.compile_forms(self.comm, forms))
-        if any(smoothed):
-            self.node_cells = create_node_cells(self.unknowns[0].function_space.mesh)
-        n = len(self.unknowns)
-        spaces = [[u.function_space] for u in self.unknowns] + [
-            [u.function_space, w.function_space] for u in self.unknowns for w in self.unknowns
-        ]
-        terms = [
-            [self._smoothed_term(p, next(compiled), space) for p in group]
-            for group, space in zip(smoothed, spaces, strict=True)
-        ]
+    def _bind(self, model: CompiledModel, successor: Callable[[Any], Any]) -> None:
+        """Give the compiled forms the mesh and data of the unknowns."""
         mesh = self.unknowns[0].function_space.mesh
-        bound = [
-            None
-            if form is None
-            else _compat.bind_form(next(compiled), mesh, entity_maps=entity_maps)
-            for form in rest
-        ]
-        self._vector_terms, self._vector_forms = terms[:n], bound[:n]
+        node_cells = self.node_cells = create_node_cells(mesh) if model.is_smoothed else None
+        n = len(self.unknowns)
+        spaces = [u.function_space for u in self.unknowns]
+
+        def terms(block: CompiledBlock, *arguments: fem.FunctionSpace) -> list[SmoothedTerm]:
+            return [
+                SmoothedTerm(form.replaced(successor), compiled, node_cells, list(arguments))
+                for form, compiled in block.smoothed
+                if node_cells is not None
+            ]
+
+        def rest(block: CompiledBlock) -> fem.Form | None:
+            if block.rest is None:
+                return None
+            return _compat.bind_form(block.rest, mesh, successor, model.entity_maps)
+
+        residual, tangent = model.residual, model.tangent
+        self._vector_terms = [terms(residual[i], spaces[i]) for i in range(n)]
+        self._vector_forms = [rest(block) for block in residual]
         self._matrix = LocalMatrix(
             self.layout,
-            [bound[n + i * n : n + (i + 1) * n] for i in range(n)],
-            [terms[n + i * n : n + (i + 1) * n] for i in range(n)],
+            [[rest(block) for block in row] for row in tangent],
+            [[terms(tangent[i][j], spaces[i], spaces[j]) for j in range(n)] for i in range(n)],
         )
-        inputs: dict[Any, None] = {}
-        for form in flat[n:]:
-            if form is not None and form.integrals():
-                inputs |= dict.fromkeys([*form.coefficients(), *form.constants()])
-        self._tangent_coefficients = list(inputs)
-
-    def _smoothed_term(
-        self, form: PointForm, compiled: Any, spaces: list[fem.FunctionSpace]
-    ) -> SmoothedTerm:
-        assert self.node_cells is not None
-        return SmoothedTerm(form, compiled, self.node_cells, spaces)
+        self._tangent_coefficients = [successor(f) for f in model.tangent_coefficients]
 
     def _prescribed_unknowns(self) -> npt.NDArray[np.bool_]:
         """Which local unknowns Dirichlet conditions prescribe; shape (n_local,)."""
@@ -487,7 +467,8 @@ class ContactProblem:
             array[positions] += self._dt() * (self._film @ relative)[which]
 
     def _dt(self) -> float:
-        return float(getattr(self._time_step, "value", self._time_step))
+        step: Any = getattr(self._time_step, "value", self._time_step)
+        return float(step)
 
     def _dirichlet_increment(self) -> npt.NDArray[np.float64]:
         """What Dirichlet conditions still ask for; local array, zero at other unknowns."""
@@ -518,7 +499,7 @@ class ContactProblem:
             self._linear.set_values(self._matrix.values)
 
     def _build_linear_solver(self) -> None:
-        """Lay out the condensed matrix: entries of K, then those of condensation, film, identity."""
+        """Lay out the condensed matrix: entries of K, of condensation, of films and identity."""
         layout, condensation = self.layout, self.condensation
         touched = condensation.gather(self._constrained.astype(float)) > 0.0
         fixed = touched | condensation.closed
@@ -575,17 +556,3 @@ class ContactProblem:
 def _aperture(pair: ContactPair) -> float:
     """Aperture of a pair's film [m]; zero for a tied pair without a given one."""
     return 0.0 if pair.flow is None or pair.flow.aperture is None else pair.flow.aperture
-
-
-def _blocks(residual: ufl.Form | Sequence[ufl.Form], n_fields: int) -> list[ufl.Form | None]:
-    """One residual form a field."""
-    if isinstance(residual, ufl.Form):
-        blocks = ufl.extract_blocks(residual) if n_fields > 1 else [residual]
-    else:
-        blocks = list(residual)
-    if not isinstance(blocks, (list, tuple)) or len(blocks) != n_fields:
-        raise ValueError(
-            f"{n_fields} unknowns need a residual with {n_fields} test functions: take them from a "
-            "ufl.MixedFunctionSpace of the unknowns' spaces, or give one form an unknown"
-        )
-    return list(blocks)

@@ -67,8 +67,9 @@ def segments(
         for b in range(4):
             if not -1.0 < breaks[b] < 1.0:
                 breaks[b] = 1.0
-        points = np.sort(breaks)
-        for low, high in zip(points[:-1], points[1:]):
+        breaks.sort()
+        for b in range(5):
+            low, high = breaks[b], breaks[b + 1]
             s = 0.5 * (low + high)
             f1 = c[0, 0] + s * (c[0, 1] + s * c[0, 2])
             f2 = c[1, 0] + s * (c[1, 1] + s * c[1, 2])

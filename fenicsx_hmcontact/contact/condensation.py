@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Condensation: secondary unknowns as relative ones plus what the primary surface does (Eq. 64).
 
-With v all unknowns and a the condensed ones, v = a + X v, where the rows of X are those of H (and of
--C next to dropped nodes) at secondary unknowns and zero elsewhere. Hence v = T a with
+With v all unknowns and a the condensed ones, v = a + X v, where the rows of X are those of H (and
+of -C next to dropped nodes) at secondary unknowns and zero elsewhere. Hence v = T a with
 T = (I - X)^-1: the matrix becomes T^T K T, the residual T^T r, and both keep their size (Eq. 66).
 """
 

@@ -12,6 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import erf, erfc
 
+ROUND_OFF = 1e-12
+"""How far, relative to the height, a point may lie outside the column by round-off."""
+
 EARLY = 0.2
 """Time factor cv t / H^2 below which images are summed instead of the series."""
 
@@ -60,8 +63,9 @@ def terzaghi_pressure(
     """
     time = _time_factor(t, height, cv)
     eta, time = np.broadcast_arrays(np.asarray(y, dtype=np.float64) / height, time)
-    if not np.all((eta >= 0) & (eta <= 1)):
+    if not np.all((eta >= -ROUND_OFF) & (eta <= 1 + ROUND_OFF)):
         raise ValueError(f"y must lie between 0 and the height {height}")
+    eta = np.clip(eta, 0.0, 1.0)
     early = time < EARLY
     p = np.empty(eta.shape)
 

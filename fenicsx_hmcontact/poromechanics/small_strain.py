@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Weak forms of consolidation at small strain: displacement u and pore pressure p (Section 2.1).
 
-Stress is positive in tension, pore pressure in compression: sigma = sigma' - p I. The second form is
-the volume of water that leaves during a step, so its residual has the unit m^3 per metre thickness.
+Stress is positive in tension, pore pressure in compression: sigma = sigma' - p I. The second form
+is a volume of water in a step, so its residual has the unit m^3 per metre thickness.
 """
 
 from __future__ import annotations

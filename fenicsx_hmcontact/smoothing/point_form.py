@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import basix.ufl
@@ -119,6 +119,15 @@ class PointForm:
     n_coefficients: int
     constants: list[Constant] = field(default_factory=list)
 
+    def replaced(self, successor: Callable[[Any], Any]) -> PointForm:
+        """Return the integrand for other functions, constants and tags."""
+        return replace(
+            self,
+            subdomain_data=successor(self.subdomain_data),
+            coefficients={successor(f): s for f, s in self.coefficients.items()},
+            constants=[successor(c) for c in self.constants],
+        )
+
 
 def split_by_measure(form: Form | None) -> tuple[list[Integral], Form | None]:
     """Split a form into its integrals over node cells and the rest.
@@ -186,7 +195,7 @@ def point_forms(form: Form | None) -> list[PointForm]:
     """
     if form is None:
         return []
-    groups: dict[tuple[str, tuple[int, ...]], list[Integral]] = {}
+    groups: dict[tuple[Enhancement, tuple[int, ...]], list[Integral]] = {}
     integrals, _ = split_by_measure(expand_derivatives(form))
     for integral in integrals:
         key = (integral.metadata()[METADATA_KEY], _ids(integral.subdomain_id()))
@@ -295,21 +304,21 @@ def _transform(
     if position is not None:
         position_slots = FieldSlots((2,))
         size = position_slots.allocate(size, True, False, False)
-    replace: dict[Expr, tuple[FieldSlots, Expr]] = {}
+    standins: dict[Expr, tuple[FieldSlots, Expr]] = {}
     if size:
         array = Coefficient(_constant_space(domain, size))
-        replace |= {f: (slots, array) for f, slots in coefficient_slots.items()}
+        standins |= {f: (slots, array) for f, slots in coefficient_slots.items()}
         if position is not None and position_slots is not None:
-            replace[position] = (position_slots, array)
+            standins[position] = (position_slots, array)
     argument_slots, argument_sizes = [], []
     for v in arguments:
         slots = FieldSlots(v.ufl_shape)
         length = slots.allocate(0, v in values, v in gradients, deviatoric)
-        replace[v] = (slots, Argument(_constant_space(domain, length), v.number()))
+        standins[v] = (slots, Argument(_constant_space(domain, length), v.number()))
         argument_slots.append(slots)
         argument_sizes.append(length)
 
-    at_point = _AtPoint(replace, {c: Constant(domain, c.ufl_shape) for c in constants})
+    at_point = _AtPoint(standins, {c: Constant(domain, c.ufl_shape) for c in constants})
     measure = ufl.Measure("dx", domain=domain, metadata={"quadrature_degree": 0})
     form = sum(map_integrand_dags(at_point, integrand) for integrand in integrands) * measure
     return PointForm(

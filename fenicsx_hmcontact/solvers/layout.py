@@ -72,7 +72,7 @@ class FieldLayout:
         return int(self.offsets[-1])
 
     def global_of_blocks(self, field: int, blocks: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Global numbers of all components of a field's global block dofs; shape (n, components)."""
+        """Global numbers of all components of a field's global block dofs; (n, components)."""
         owner = np.searchsorted(self._block_first[:, field], blocks, side="right") - 1
         bs = self.block_sizes[field]
         first = self._field_first[owner, field] + (blocks - self._block_first[owner, field]) * bs

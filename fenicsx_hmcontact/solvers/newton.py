@@ -84,9 +84,9 @@ ROUND_OFF = 1e3 * float(np.finfo(np.float64).eps)
 def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
     """Iterate until the residual of every field is small.
 
-    The symmetric scaling that gives the matrix a unit diagonal makes increments and residuals of all
-    fields comparable, whatever the units: residuals are measured against the step's largest scaled
-    increment. A residual that is round-off of the state itself is accepted as zero.
+    The symmetric scaling that gives the matrix a unit diagonal makes increments and residuals of
+    all fields comparable, whatever the units: residuals are measured against the step's largest
+    scaled increment. A residual that is round-off of the state itself is accepted as zero.
 
     Args:
         system: The equations.

@@ -12,7 +12,6 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_hmcontact.contact.mortar import (
     MortarOptions,
-    Segments,
     _dual_shapes,
     covered_mass,
     covered_shapes,
@@ -21,6 +20,7 @@ from fenicsx_hmcontact.contact.mortar import (
     mortar_segments,
 )
 from fenicsx_hmcontact.contact.surface import Surface, gather_surface
+from fenicsx_hmcontact.domain import vertex_ghost_partitioner
 
 RATIOS = [(7, 11), (5, 17), (19, 4), (6, 6)]
 SLOPES = [0.0, 0.3, -0.7]
@@ -112,9 +112,10 @@ def test_dual_basis_is_biorthogonal_also_on_covered_parts():
 COVERED = [0.9, 0.5, 0.23, 0.1, 1e-3, 1e-8]
 
 
-@pytest.mark.parametrize("slope", SLOPES)
 @pytest.mark.parametrize("part", COVERED)
-@pytest.mark.parametrize("prescribed", [(), (0,), (0, -1), (3,)])
+@pytest.mark.parametrize(
+    ("slope", "prescribed"), [(0, ()), (0, (0, -1)), (0.3, ()), (0.3, (0,)), (-0.7, (0, 3))]
+)
 def test_partial_coverage_keeps_linear_fields_force_and_moment(slope, part, prescribed):
     # The primary ends inside the sixth of seven secondary edges and begins inside the first.
     primary_points = uneven(11, 0.03, (5 + part) / 7, seed=2)
@@ -266,3 +267,219 @@ def test_curved_surfaces_agree_with_independent_quadrature(s, m):
         assert np.array_equal(operator.uncovered, D == 0)
         rows = operator.H.sum(axis=1)[operator.kept]
         assert np.allclose(rows, 1, rtol=0, atol=1e-13)
+
+
+def test_normals_that_fan_out_still_see_a_long_edge():
+    # The secondary surface turns by 90 degrees in short edges around a corner of two long ones.
+    angle = np.linspace(0, np.pi / 2, 7)
+    arc = np.column_stack([-np.cos(angle), -np.sin(angle)])
+    secondary = chain("pile", np.vstack([[-1, 3], arc, [3, -1]]))
+    primary = chain("hole", [[3, -1.1], [-1.1, -1.1], [-1.1, 3]], first=100)
+    segments = mortar_segments(secondary, primary)
+    operator = mortar_operator(secondary, primary, segments)
+    assert np.allclose(operator.coverage, 1, rtol=0, atol=1e-13)
+    assert segments.eta.min() > -1 and segments.eta.max() < 1
+    D, M = reference(secondary, primary, np.inf)
+    assert np.allclose(operator.D, D, rtol=0, atol=1e-12)
+    assert np.abs(operator.D[:, None] * operator.H.toarray() - M).max() < 1e-5
+
+
+def dense(operator):
+    return operator.D, operator.H.toarray(), operator.C.toarray()
+
+
+def curved_pair():
+    secondary, primary = pair(uneven(7), uneven(11, 0.1, 0.95, seed=1), wavy)
+    return secondary, primary.at(primary.points - [0, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "scale"),
+    [
+        ("units", lambda x: 1024.0 * x, 1024),
+        ("small", lambda x: x / 2**20, 2.0**-20),
+        ("turned", lambda x: x @ [[0.6, 0.8], [-0.8, 0.6]], 1),
+        ("moved", lambda x: x + np.array([40.0, -70.0]), 1),
+    ],
+)
+def test_coupling_does_not_depend_on_units_and_axes(name, change, scale):
+    secondary, primary = curved_pair()
+    dropped = mask(8, 2)
+    expected = dense(
+        mortar_operator(secondary, primary, mortar_segments(secondary, primary), dropped)
+    )
+    secondary, primary = (s.at(change(s.points)) for s in (secondary, primary))
+    D, H, C = dense(
+        mortar_operator(secondary, primary, mortar_segments(secondary, primary), dropped)
+    )
+    assert np.allclose(D, scale * expected[0], rtol=1e-12, atol=0)
+    assert np.abs(H - expected[1]).max() < 1e-12 and np.abs(C - expected[2]).max() < 1e-12
+
+
+def test_coupling_does_not_depend_on_the_numbering():
+    surfaces = curved_pair()
+    rng = np.random.default_rng(5)
+    renumbered, orders = [], []
+    for surface in surfaces:
+        order = rng.permutation(len(surface.nodes))
+        new = np.argsort(order)
+        edges = rng.permutation(new[surface.edges].astype(np.int32))
+        renumbered.append(
+            Surface(surface.name, surface.nodes[order], order, surface.points[order], edges)
+        )
+        orders.append(order)
+    s, m = orders
+    dropped = mask(8, 2, 5)
+    D, H, C = dense(mortar_operator(*surfaces, mortar_segments(*surfaces), dropped))
+    other = dense(mortar_operator(*renumbered, mortar_segments(*renumbered), dropped[s]))
+    assert np.allclose(other[0], D[s], rtol=1e-14, atol=0)
+    assert np.allclose(other[1], H[np.ix_(s, m)], rtol=0, atol=1e-14)
+    assert np.allclose(other[2], C[np.ix_(s, s)], rtol=0, atol=1e-14)
+
+
+def test_mirror_image_has_the_mirrored_coupling():
+    surfaces = curved_pair()
+    mirrored = [
+        chain(s.name, s.points[::-1] * [-1, 1], first)
+        for s, first in zip(surfaces, [0, 1000], strict=True)
+    ]
+    D, H, C = dense(mortar_operator(*surfaces, mortar_segments(*surfaces), mask(8, 2)))
+    other = dense(mortar_operator(*mirrored, mortar_segments(*mirrored), mask(8, -3)))
+    assert np.allclose(other[0], D[::-1], rtol=1e-13, atol=0)
+    assert np.allclose(other[1], H[::-1, ::-1], rtol=0, atol=1e-13)
+    assert np.allclose(other[2], C[::-1, ::-1], rtol=0, atol=1e-13)
+
+
+def test_surface_seen_from_behind_is_not_coupled():
+    secondary, primary = pair(np.linspace(0, 1, 5), np.linspace(0, 1, 4))
+    behind = chain("back", primary.points[::-1], first=1000)
+    operator = mortar_operator(secondary, behind, mortar_segments(secondary, behind))
+    assert operator.uncovered.all() and operator.dropped.all() and operator.H.nnz == 0
+
+
+@pytest.mark.parametrize(("gap", "radius", "found"), [(0.9, 3.0, True), (1.1, 3.0, False)])
+def test_search_radius_counts_longest_edges(gap, radius, found):
+    secondary, primary = pair(np.linspace(0, 1, 6), np.linspace(0, 0.9, 4))
+    for sign in (1, -1):
+        apart = primary.at(primary.points - [0, sign * gap])
+        segments = mortar_segments(secondary, apart, MortarOptions(search_radius=radius))
+        assert (len(segments.xi) > 0) == found
+        everywhere = mortar_segments(secondary, apart, MortarOptions(search_radius=np.inf))
+        assert np.sum(everywhere.weight) == pytest.approx(0.9, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"search_radius": 0.0}, "search_radius must be positive, got 0.0"),
+        ({"search_radius": np.nan}, "search_radius must be positive, got nan"),
+        ({"min_coverage": 0.5}, r"min_coverage must be in \[0, 0.5\), got 0.5"),
+        ({"min_coverage": -0.1}, r"min_coverage must be in \[0, 0.5\), got -0.1"),
+    ],
+)
+def test_wrong_options_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        MortarOptions(**options)
+
+
+@pytest.mark.parametrize("dropped", [np.zeros(3, bool), np.zeros(5, int), np.zeros((5, 1), bool)])
+def test_wrong_mask_is_refused(dropped):
+    secondary, primary = pair(np.linspace(0, 1, 5), [0, 1])
+    segments = mortar_segments(secondary, primary)
+    with pytest.raises(ValueError, match="'upper': dropped must be a mask of its 5 nodes"):
+        mortar_operator(secondary, primary, segments, dropped)
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+def test_film_matrices_are_exact_on_covered_parts(slope):
+    # Edges (0, 1), (1, 2.5) and (2.5, 3): the primary covers 0.25 ... 2.2, node 0 is dropped.
+    secondary, primary = pair([0, 1, 2.5, 3], uneven(6, 0.25, 2.2), lambda x: slope * x)
+    stretch = np.hypot(1, slope)
+    segments = mortar_segments(secondary, primary)
+    kept = mask(4, 1, 2)
+    x = np.sum(
+        covered_shapes(secondary, segments, mask(4, 0, 1, 2, 3))
+        * secondary.points[secondary.edges[segments.secondary_edge], 0],
+        axis=1,
+    )
+    for factor, integral in [
+        (None, lambda p: p),
+        (1 + 2 * x, lambda p: p * np.polynomial.Polynomial([1, 2])),
+    ]:
+
+        def exact(p, low, high, integral=integral):
+            primitive = integral(p).integ()
+            return stretch * (primitive(high) - primitive(low))
+
+        one, t = np.polynomial.Polynomial([1]), np.polynomial.Polynomial([-1 / 1.5, 1 / 1.5])
+        mass = np.zeros((4, 4))
+        mass[1, 1] = exact(one, 0.25, 1) + exact((1 - t) ** 2, 1, 2.2)
+        mass[1, 2] = mass[2, 1] = exact((1 - t) * t, 1, 2.2)
+        mass[2, 2] = exact(t**2, 1, 2.2)
+        stiffness = np.zeros((4, 4))
+        stiffness[1:3, 1:3] = (
+            exact(one, 1, 2.2) / (1.5 * stretch) ** 2 * np.array([[1, -1], [-1, 1]])
+        )
+        found = covered_mass(secondary, segments, kept, factor)
+        assert np.allclose(found.toarray(), mass, rtol=0, atol=1e-14)
+        found = covered_stiffness(secondary, segments, kept, factor)
+        assert np.allclose(found.toarray(), stiffness, rtol=0, atol=1e-13)
+
+
+def test_film_of_dropped_neighbours_has_the_force_of_a_uniform_pressure():
+    # sum(L_f p) = p times the covered length wherever one node of each edge is kept.
+    secondary, primary = pair(np.linspace(0, 1, 8), uneven(5, 0.04, 0.81))
+    segments = mortar_segments(secondary, primary)
+    operator = mortar_operator(secondary, primary, segments, mask(8, 0, 3))
+    mass = covered_mass(secondary, segments, operator.kept)
+    assert mass.sum() == pytest.approx(0.77, rel=1e-13)
+    assert np.abs(covered_stiffness(secondary, segments, operator.kept).sum(axis=1)).max() < 1e-13
+    # r_i (L_f 1)_i = int phi_i: what the multipliers' forces D_i (1 + sum_j C_ij) are.
+    force = operator.D * (1 + operator.C.sum(axis=1))
+    assert np.sum(force[operator.kept]) == pytest.approx(0.77, rel=1e-13)
+
+
+def two_blocks(comm, n_lower, n_upper, partitioner):
+    """Two blocks without shared nodes, inclined; tag 3 on the upper, 4 on the lower one."""
+    points, cells = [], []
+    for n, bottom in [(n_lower, 0.0), (n_upper, 0.5)]:
+        first = sum(map(len, points))
+        x, y = np.meshgrid(np.linspace(0, 1, n + 1), bottom + np.linspace(0, 0.5, 4))
+        points.append(np.column_stack([x.ravel(), y.ravel() + 0.3 * x.ravel()]))
+        at = first + np.arange(x.size).reshape(x.shape)
+        a, b, c, d = (q.ravel() for q in (at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]))
+        cells += [np.column_stack([a, b, c]), np.column_stack([a, c, d])]
+    points, cells = np.vstack(points), np.vstack(cells).astype(np.int64)
+    if comm.rank > 0:
+        points, cells = points[:0], cells[:0]
+    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
+    mesh = dmesh.create_mesh(comm, cells, element, points, partitioner)
+    mesh.topology.create_connectivity(1, 2)
+    facets = dmesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1] - 0.3 * x[0], 0.5))
+    mesh.topology.create_connectivity(1, 0)
+    first = mesh.topology.connectivity(1, 0).array.reshape(-1, 2)[facets, 0]
+    mesh.topology.create_connectivity(0, 2)
+    nodes = dmesh.entities_to_geometry(mesh, 0, first).ravel()
+    below = mesh.geometry.input_global_indices[nodes] < 4 * (n_lower + 1)
+    return mesh, dmesh.meshtags(mesh, 1, facets, np.where(below, 4, 3).astype(np.int32))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("ghosts", ["none", "vertex"])
+def test_coupling_of_two_blocks_is_the_serial_one_on_every_rank(ghosts):
+    without = dmesh.create_cell_partitioner(dmesh.GhostMode.none, 2)
+    partitioner = vertex_ghost_partitioner() if ghosts == "vertex" else without
+    operators = []
+    for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
+        mesh, tags = two_blocks(comm, 7, 11, partitioner)
+        secondary, primary = (
+            gather_surface(mesh, tags, tag, name) for tag, name in [(3, "upper"), (4, "lower")]
+        )
+        segments = mortar_segments(secondary, primary)
+        operator = mortar_operator(secondary, primary, segments, mask(12, 0))
+        assert mismatch(operator, secondary, primary) < 1e-13
+        operators.append(operator)
+    here, serial = (dense(operator) for operator in operators)
+    assert all(np.array_equal(a, b) for a, b in zip(here, serial, strict=True))
+    assert all(np.array_equal(a, MPI.COMM_WORLD.bcast(a)) for a in here)
+    assert serial[1].shape == (12, 8) and operators[0].dropped.sum() == 1

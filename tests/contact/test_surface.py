@@ -15,12 +15,19 @@ from fenicsx_hmcontact.contact.surface import (
     local_nodes,
     surface_dofs,
 )
+from fenicsx_hmcontact.domain import vertex_ghost_partitioner
 
-GHOSTS = [dmesh.GhostMode.none, dmesh.GhostMode.shared_facet]
+TRIANGLE, QUADRILATERAL = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
+GHOSTS = ["none", "facet", "vertex"]
 
 
-def square(comm, ghosts=dmesh.GhostMode.none, cell=dmesh.CellType.triangle):
-    return dmesh.create_unit_square(comm, 7, 5, cell_type=cell, ghost_mode=ghosts)
+def square(comm, ghosts="none", cell=TRIANGLE):
+    if ghosts == "vertex":
+        partitioner = vertex_ghost_partitioner()
+    else:
+        mode = {"none": dmesh.GhostMode.none, "facet": dmesh.GhostMode.shared_facet}[ghosts]
+        partitioner = dmesh.create_cell_partitioner(mode, 2)
+    return dmesh.create_unit_square(comm, 7, 5, cell_type=cell, partitioner=partitioner)
 
 
 def triangles(comm, points, cells):
@@ -54,8 +61,9 @@ def chain(points, closed=False):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("ghosts", GHOSTS)
-@pytest.mark.parametrize("cell", [dmesh.CellType.triangle, dmesh.CellType.quadrilateral])
+@pytest.mark.parametrize(
+    ("ghosts", "cell"), [*((g, TRIANGLE) for g in GHOSTS), ("facet", QUADRILATERAL)]
+)
 @pytest.mark.parametrize("where", [top, boundary])
 def test_surface_is_the_serial_one_on_every_rank(ghosts, cell, where):
     mesh = square(MPI.COMM_WORLD, ghosts, cell)

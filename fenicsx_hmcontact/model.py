@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Residual and tangent of a model, compiled once and bound to any mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.algorithms import expand_derivatives
+
+from . import _compat
+from .smoothing import PointForm, check_smoothable, point_forms, split_by_measure
+
+
+@dataclass(frozen=True)
+class CompiledBlock:
+    """One block of the residual or of the tangent.
+
+    Attributes:
+        smoothed: Integrands at smoothing points, with their compiled kernels.
+        rest: Terms on triangles and facets, compiled; None if there are none.
+    """
+
+    smoothed: list[tuple[PointForm, Any]]
+    rest: Any
+
+
+@dataclass(frozen=True)
+class CompiledModel:
+    """Residual and tangent of a model.
+
+    Attributes:
+        unknowns: Unknowns of the forms it was compiled from.
+        residual: One block a field.
+        tangent: Blocks by test and trial field.
+        tangent_coefficients: Functions and constants the tangent depends on.
+        entity_maps: Maps to submeshes that functions live on.
+    """
+
+    unknowns: list[fem.Function]
+    residual: list[CompiledBlock]
+    tangent: list[list[CompiledBlock]]
+    tangent_coefficients: list[Any]
+    entity_maps: Sequence[Any] | None
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether any term of the residual is smoothed over node cells."""
+        return any(block.smoothed for block in self.residual)
+
+    def successor(
+        self, unknowns: Sequence[fem.Function], replace: Mapping[Any, Any]
+    ) -> Callable[[Any], Any]:
+        """Say what takes the place of a function, space, constant or tags on another mesh.
+
+        Args:
+            unknowns: The new unknowns, in the old order.
+            replace: Successors of everything else.
+
+        Raises:
+            ValueError: If the number of unknowns differs.
+        """
+        if len(unknowns) != len(self.unknowns):
+            raise ValueError(
+                f"the model has {len(self.unknowns)} unknowns, {len(unknowns)} were given"
+            )
+        # By identity: function spaces have no hash.
+        known = {id(old): new for old, new in replace.items()}
+        for old, new in zip(self.unknowns, unknowns, strict=True):
+            known[id(old)] = new
+            known[id(old.function_space)] = new.function_space
+        return lambda old: known.get(id(old), old)
+
+
+def compile_model(
+    residual: ufl.Form | Sequence[ufl.Form],
+    unknowns: Sequence[fem.Function],
+    entity_maps: Sequence[Any] | None = None,
+) -> CompiledModel:
+    """Derive the tangent and compile everything in one module. Collective.
+
+    Args:
+        residual: The residual, as one form or one form a field.
+        unknowns: The fields.
+        entity_maps: Maps to submeshes that functions live on.
+
+    Raises:
+        ValueError: If the residual does not fit the unknowns, or a term cannot be smoothed.
+    """
+    forms = _blocks(residual, len(unknowns))
+    for form in forms:
+        check_smoothable(form)
+    trials = [ufl.TrialFunction(u.function_space) for u in unknowns]
+    tangent = [
+        [
+            expand_derivatives(ufl.derivative(form, u, du))
+            for u, du in zip(unknowns, trials, strict=True)
+        ]
+        for form in forms
+    ]
+    flat = forms + [form for row in tangent for form in row]
+    smoothed = [point_forms(form) for form in flat]
+    rest = [split_by_measure(form)[1] for form in flat]
+    sources = [p.form for group in smoothed for p in group] + [f for f in rest if f is not None]
+    compiled = iter(_compat.compile_forms(unknowns[0].function_space.mesh.comm, sources))
+    kernels = [[(p, next(compiled)) for p in group] for group in smoothed]
+    blocks = [
+        CompiledBlock(group, None if form is None else next(compiled))
+        for group, form in zip(kernels, rest, strict=True)
+    ]
+    inputs: dict[Any, None] = {}
+    for row in tangent:
+        for form in row:
+            if form.integrals():
+                inputs |= dict.fromkeys([*form.coefficients(), *form.constants()])
+    n = len(unknowns)
+    return CompiledModel(
+        list(unknowns),
+        blocks[:n],
+        [blocks[n + i * n : n + (i + 1) * n] for i in range(n)],
+        list(inputs),
+        entity_maps,
+    )
+
+
+def _blocks(residual: ufl.Form | Sequence[ufl.Form], n_fields: int) -> list[ufl.Form]:
+    """One residual form a field."""
+    if isinstance(residual, ufl.Form):
+        blocks = ufl.extract_blocks(residual) if n_fields > 1 else [residual]
+    else:
+        blocks = residual
+    if not isinstance(blocks, (list, tuple)) or len(blocks) != n_fields:
+        raise ValueError(
+            f"{n_fields} unknowns need a residual with {n_fields} test functions: take them from a "
+            "ufl.MixedFunctionSpace of the unknowns' spaces, or give one form an unknown"
+        )
+    for i, block in enumerate(blocks):
+        if not isinstance(block, ufl.Form):
+            raise ValueError(f"the residual has no equation for unknown {i}")
+    return list(blocks)

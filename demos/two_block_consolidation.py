@@ -244,7 +244,8 @@ def run(column, report, description, on_time=None):
             )
             if not o.single:
                 history.interface_errors[key] = column.interface_error()
-        if t in PICTURE_TIMES:
+        # The first step is where the unstabilised pressure oscillates.
+        if t in PICTURE_TIMES or len(history.t) == 1:
             history.profiles[t] = profile(column)
         if on_time is not None:
             on_time(t)
@@ -282,6 +283,8 @@ def draw_profiles(history, options, path, title):
         reference_label="series",
         title=title,
     )
+    for axes in figure.axes:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save(figure, path)
 
 

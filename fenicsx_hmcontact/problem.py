@@ -341,6 +341,12 @@ class ContactProblem:
                         else "faces no primary edge within the search radius"
                     )
                     raise ValueError(f"pair {name}: the secondary surface {reason}")
+                idle = coupling.secondary.edges[coupling.operators[key].idle_edges]
+                if coupling.prescribed[key][idle].all(axis=1).any():
+                    raise ValueError(
+                        f"pair {name}: neighbouring nodes of the secondary surface are prescribed, "
+                        "so that nothing ties the edge between them; swap secondary and primary"
+                    )
             if coupling.pair.flow is not None and len(displacements) == len(coupling.operators):
                 raise ValueError(f"pair {name} has a flow law, but no field is a pore pressure")
             if _aperture(coupling.pair) > 0.0 and self._time_step is None:

@@ -127,8 +127,7 @@ def mortar_segments(
         options: How far the surfaces look for each other.
     """
     longest = max(secondary.lengths.max(), primary.lengths.max())
-    middles = (s.points[s.edges].mean(axis=1) for s in (secondary, primary))
-    trees = [cKDTree(middle) for middle in middles]
+    trees = [cKDTree(s.points[s.edges].mean(axis=1)) for s in (secondary, primary)]
     candidates = trees[0].sparse_distance_matrix(
         trees[1], (options.search_radius + 1.0) * longest, output_type="ndarray"
     )

@@ -263,7 +263,7 @@ def test_curved_surfaces_agree_with_independent_quadrature(s, m):
         D, M = reference(secondary, primary, 5)
         # Three Gauss points are not exact where the normal turns along the edge.
         assert np.allclose(operator.D, D, rtol=0, atol=1e-12)
-        assert np.abs(operator.D[:, None] * operator.H.toarray() - M).max() < 1e-6
+        assert np.abs(operator.D[:, None] * operator.H.toarray() - M).max() < 1e-8
         assert np.array_equal(operator.uncovered, D == 0)
         rows = operator.H.sum(axis=1)[operator.kept]
         assert np.allclose(rows, 1, rtol=0, atol=1e-13)

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Fields of a run: files for ParaView, values at points, nodal values in input order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, geometry, has_adios2, io
+from dolfinx.mesh import Mesh
+
+from .. import _compat
+from .root import on_root
+
+INSIDE = 1e-9
+"""How far outside a triangle a point still counts as on it, as a fraction of its height."""
+
+
+class FieldWriter:
+    """Write functions of one mesh, step by step, to one file that ParaView opens. Collective.
+
+    Fields of different elements share the file: continuous ones are written by their values at
+    the nodes of the mesh, piecewise constants by cell. The mesh is written where it is at each
+    step, so moving meshes need nothing special.
+
+    Attributes:
+        path: The file with its suffix.
+    """
+
+    def __init__(self, path: str | Path, mesh: Mesh, functions: Sequence[fem.Function]) -> None:
+        """Open the file. Collective.
+
+        Args:
+            path: File ``.bp`` (VTX, needs a DOLFINx with ADIOS2) or ``.pvd`` (VTK); without a
+                suffix, ``.bp`` where it can be had.
+            mesh: Mesh of the functions.
+            functions: Functions to write, each under its own ``name``.
+
+        Raises:
+            ValueError: If the suffix is unknown or unavailable, a function is on another mesh, two
+                have one name, or one is discontinuous without being constant in each cell.
+            OSError: If the directory cannot be made.
+        """
+        path = Path(path)
+        if not path.suffix:
+            path = path.with_suffix(".bp" if has_adios2 else ".pvd")
+        if path.suffix not in (".bp", ".pvd"):
+            raise ValueError(f"{path}: fields are written to .bp or .pvd, not {path.suffix!r}")
+        if path.suffix == ".bp" and not has_adios2:
+            raise ValueError(f"{path}: this DOLFINx has no ADIOS2; write to .pvd instead")
+        self.path = path
+        self._meshes = 0
+        self._file: io.VTXWriter | io.VTKFile | None = None
+        on_root(mesh.comm, lambda: path.parent.mkdir(parents=True, exist_ok=True))
+        self.remesh(mesh, functions)
+
+    def remesh(self, mesh: Mesh, functions: Sequence[fem.Function]) -> None:
+        """Go on with the functions of another mesh. Collective.
+
+        A ``.pvd`` holds all meshes; a ``.bp`` only one, so the next mesh gets the next file:
+        ``name.bp``, ``name-1.bp``, ...
+
+        Args:
+            mesh: The new mesh.
+            functions: Functions to write from now on.
+
+        Raises:
+            ValueError: As on construction.
+        """
+        self._functions = list(functions)
+        self._written = _nodal_twins(self.path, mesh, self._functions)
+        if self.path.suffix == ".bp":
+            self.close()
+            part = f"-{self._meshes}" if self._meshes else ""
+            file = self.path.with_stem(self.path.stem + part)
+            self._file = io.VTXWriter(mesh.comm, file, self._written)
+        elif self._file is None:
+            self._file = io.VTKFile(mesh.comm, self.path, "w")
+        self._meshes += 1
+
+    def write(self, time: float) -> None:
+        """Write the functions as they are now. Collective.
+
+        Args:
+            time: Time [s].
+
+        Raises:
+            RuntimeError: If the writer is closed.
+        """
+        if self._file is None:
+            raise RuntimeError(f"{self.path} is closed")
+        for function, written in zip(self._functions, self._written, strict=True):
+            written.interpolate(function)
+        if isinstance(self._file, io.VTKFile):
+            self._file.write_function(self._written, time)
+        else:
+            self._file.write(time)
+
+    def close(self) -> None:
+        """Close the file. Collective."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def __enter__(self) -> Self:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the file."""
+        self.close()
+
+
+def _nodal_twins(path: Path, mesh: Mesh, functions: list[fem.Function]) -> list[fem.Function]:
+    """Functions of the same names that a file can hold: P1, or constant in each cell."""
+    if not functions:
+        raise ValueError(f"{path}: no function to write")
+    names = [function.name for function in functions]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{path}: two functions are called {name!r}")
+    written = []
+    for function in functions:
+        space = function.function_space
+        element = space.ufl_element()
+        if space.mesh is not mesh:
+            raise ValueError(f"{path}: the function {function.name!r} is on another mesh")
+        if element.discontinuous and element.embedded_superdegree > 0:
+            raise ValueError(
+                f"{path}: the function {function.name!r} has no nodal values ({element}); "
+                "project it to P1 or to cell-wise constants"
+            )
+        family = ("DG", 0) if element.discontinuous else ("P", 1)
+        twin = fem.functionspace(mesh, (*family, space.value_shape))
+        written.append(fem.Function(twin, name=function.name))
+    return written
+
+
+def evaluate(
+    function: fem.Function,
+    points: npt.ArrayLike,
+    cells: npt.NDArray[np.int32] | None = None,
+) -> npt.NDArray[np.float64]:
+    """Values of a function at fixed points, the same on every rank for any partition. Collective.
+
+    A point on several triangles is given to the one that came first in the input mesh, which
+    decides where the function jumps: between touching bodies, or with a discontinuous element.
+
+    Args:
+        function: Function on straight triangles.
+        points: Points [m], the same on all ranks; shape (n, 2).
+        cells: Look only in these local cells, such as those of one body; all by default.
+
+    Returns:
+        Values; shape (n, components).
+
+    Raises:
+        ValueError: If the points have another shape, or one lies outside the mesh; names it.
+    """
+    mesh = function.function_space.mesh
+    x = np.asarray(points, dtype=np.float64)
+    if x.ndim != 2 or x.shape[1] != 2:
+        raise ValueError(f"points have shape (n, 2), not {x.shape}")
+    x = np.column_stack((x, np.zeros(len(x))))
+
+    owned = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+    if cells is not None:
+        owned = np.intersect1d(owned, cells).astype(np.int32)
+    point, cell = _containing(mesh, owned, x)
+
+    # The cell of the lowest input index wins, on whichever rank it is.
+    nobody = np.iinfo(np.int64).max
+    found = np.full(len(x), nobody)
+    np.minimum.at(found, point, mesh.topology.original_cell_index[cell])
+    first = np.empty_like(found)
+    mesh.comm.Allreduce(found, first, op=MPI.MIN)
+    if np.any(first == nobody):
+        outside = x[np.argmax(first == nobody), :2]
+        raise ValueError(f"the point ({outside[0]:g}, {outside[1]:g}) lies outside the mesh")
+
+    values = np.zeros((len(x), int(np.prod(function.function_space.value_shape))))
+    mine = mesh.topology.original_cell_index[cell] == first[point]
+    if mine.any():
+        values[point[mine]] = function.eval(x[point[mine]], cell[mine]).reshape(mine.sum(), -1)
+    mesh.comm.Allreduce(MPI.IN_PLACE, values, op=MPI.SUM)
+    return values
+
+
+def _containing(
+    mesh: Mesh, cells: npt.NDArray[np.int32], x: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Pairs of points and the triangles they are in or on; shapes (num_pairs,)."""
+    if len(cells) == 0 or len(x) == 0:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int32)
+    nodes = mesh.geometry.x
+    tree = geometry.bb_tree(mesh, 2, entities=cells, padding=INSIDE * float(np.ptp(nodes)))
+    candidates = geometry.compute_collisions_points(tree, x)
+    point = np.repeat(np.arange(len(x)), np.diff(candidates.offsets))
+    cell = candidates.array
+    # Not compute_colliding_cells: its tolerance is a fixed length, 1e-6 in whatever unit.
+    a, b, c = np.moveaxis(nodes[_compat.cell_nodes(mesh)[cell], :2], 1, 0)
+    p = x[point, :2]
+    area = _cross(b - a, c - a)
+    coordinates = np.stack((_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)))
+    inside = np.min(coordinates / area, axis=0) >= -INSIDE
+    return point[inside], cell[inside]
+
+
+def _cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def gather_nodal(
+    function: fem.Function,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], npt.NDArray[np.float64]] | None:
+    """Collect mesh and nodal values on rank 0, in the order of the input mesh. Collective.
+
+    Args:
+        function: P1 function of any shape.
+
+    Returns:
+        On rank 0, whatever the number of ranks: points [m], shape (N, 2); triangles by rows of
+        points, shape (M, 3); values, shape (N, components). None on the other ranks.
+
+    Raises:
+        ValueError: If the function is not P1.
+    """
+    space = function.function_space
+    mesh = space.mesh
+    nodal = fem.Function(fem.functionspace(mesh, ("P", 1, space.value_shape)))
+    if space.ufl_element() != nodal.function_space.ufl_element():
+        raise ValueError(f"the function {function.name!r} is not P1 but {space.ufl_element()}")
+    # A copy, since a part of a mixed function has its values scattered among the others.
+    nodal.interpolate(function)
+    nodes = _compat.cell_nodes(mesh)
+    dof = np.empty(len(mesh.geometry.x), dtype=np.int32)
+    dof[nodes] = nodal.function_space.dofmap.list
+
+    index = mesh.geometry.input_global_indices
+    owned_nodes = mesh.geometry.index_map().size_local
+    owned_cells = mesh.topology.index_map(2).size_local
+    components = int(np.prod(space.value_shape))
+    values = nodal.x.array.reshape(-1, components)[dof[:owned_nodes]]
+    parts = mesh.comm.gather(
+        (
+            index[:owned_nodes],
+            mesh.geometry.x[:owned_nodes, :2],
+            values,
+            mesh.topology.original_cell_index[:owned_cells],
+            index[nodes[:owned_cells]],
+        )
+    )
+    if parts is None:
+        return None
+    ids, x, values, order, cells = map(np.concatenate, zip(*parts, strict=True))
+    by_node, by_cell = np.argsort(ids), np.argsort(order)
+    return x[by_node], np.searchsorted(ids[by_node], cells[by_cell]), values[by_node]

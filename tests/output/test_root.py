@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+import pytest
+
+from fenicsx_hmcontact.output.root import on_root
+
+
+class SceneError(Exception):
+    def __init__(self, group, reason):
+        super().__init__(group, reason)
+
+
+def fail(error):
+    raise error
+
+
+@pytest.mark.mpi
+def test_only_rank_0_acts(comm):
+    done = []
+    on_root(comm, lambda: done.append(comm.rank))
+    assert done == ([0] if comm.rank == 0 else [])
+
+
+@pytest.mark.mpi
+def test_all_ranks_hear_of_a_failure(comm):
+    with pytest.raises(FileNotFoundError, match="ground"):
+        on_root(comm, lambda: fail(FileNotFoundError("ground.msh")))
+    with pytest.raises(SceneError if comm.rank == 0 else RuntimeError, match="ground"):
+        on_root(comm, lambda: fail(SceneError("ground", "no facet")))

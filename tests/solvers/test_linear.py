@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+from mpi4py import MPI  # noqa: F401
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from fenicsx_hmcontact.solvers import LinearSolver
+from tests.models import dense
+
+pytestmark = pytest.mark.mpi
+
+N = 30
+
+
+def random_system(comm, seed=0, decades=6):
+    """Entries of an indefinite matrix, badly scaled; each on a random rank, some in two parts."""
+    rng = np.random.default_rng(seed)
+    A = sparse.random_array((N, N), density=0.15, rng=rng).tolil()
+    A.setdiag(rng.choice([-2.0, 2.0], N))
+    scale = 10.0 ** rng.uniform(-decades, decades, N)
+    A = sparse.coo_array(A.toarray() * np.outer(scale, scale))
+    rows, columns, values = np.tile(A.row, 2), np.tile(A.col, 2), np.tile(A.data / 2, 2)
+    mine = rng.integers(comm.size, size=rows.size) == comm.rank
+    owned = N // comm.size + (comm.rank < N % comm.size)
+    first = comm.exscan(owned) or 0
+    part = rows[mine].astype(np.int32), columns[mine].astype(np.int32), values[mine]
+    return A.toarray(), *part, owned, slice(first, first + owned)
+
+
+def test_solves_like_numpy(comm):
+    A, rows, columns, values, owned, part = random_system(comm)
+    solver = LinearSolver(comm, owned, rows, columns)
+    solver.set_values(values)
+    assert solver.n_factorisations == 1
+    # A solution in the units of the matrix: its entries span 24 decades.
+    x = np.cos(np.arange(N)) / np.sqrt(np.abs(np.diag(A)))
+    np.testing.assert_allclose(solver.solve((A @ x)[part]), x[part], rtol=1e-10)
+
+
+def test_matrix_has_unit_diagonal_up_to_sign(comm):
+    A, rows, columns, values, owned, part = random_system(comm)
+    solver = LinearSolver(comm, owned, rows, columns)
+    for factor in (1.0, 16.0):
+        solver.set_values(factor * values)
+        np.testing.assert_allclose(
+            solver.scale, 1 / np.sqrt(factor * np.abs(np.diag(A)))[part], rtol=1e-14
+        )
+        scaled = dense(solver.matrix, comm)
+        np.testing.assert_allclose(np.diag(scaled), np.sign(np.diag(A)), rtol=1e-14)
+        s = np.concatenate(comm.allgather(solver.scale))
+        np.testing.assert_allclose(scaled / np.outer(s, s), factor * A, rtol=1e-12)
+    assert solver.n_factorisations == 2
+
+
+def test_negative_entries_are_dropped(comm):
+    A, rows, columns, values, owned, _ = random_system(comm, decades=0)
+    rows = np.concatenate((rows, np.full(3, -1, np.int32)))
+    columns = np.concatenate((columns, np.full(3, -1, np.int32)))
+    solver = LinearSolver(comm, owned, rows, columns)
+    solver.matrix.setValuesCOO(np.concatenate((values, np.full(3, 1e6))))
+    np.testing.assert_allclose(dense(solver.matrix, comm), A, rtol=0, atol=1e-13)
+
+
+def test_default_is_mumps(comm):
+    _, rows, columns, _, owned, _ = random_system(comm)
+    ksp = LinearSolver(comm, owned, rows, columns).ksp
+    assert (ksp.type, ksp.pc.type, ksp.pc.getFactorSolverType()) == ("preonly", "lu", "mumps")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"ksp_type": "gmres", "pc_type": "jacobi", "ksp_rtol": 1e-13, "ksp_max_it": 500},
+        {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "superlu_dist"},
+    ],
+)
+def test_options_reach_petsc_and_leave_no_trace(comm, options):
+    A, rows, columns, values, owned, part = random_system(comm, decades=1)
+    before = PETSc.Options().getAll()
+    solver = LinearSolver(comm, owned, rows, columns, options)
+    assert PETSc.Options().getAll() == before
+    assert (solver.ksp.type, solver.ksp.pc.type) == (options["ksp_type"], options["pc_type"])
+    if "pc_factor_mat_solver_type" in options:
+        assert solver.ksp.pc.getFactorSolverType() == options["pc_factor_mat_solver_type"]
+    solver.set_values(values)
+    x = np.sin(np.arange(N))
+    np.testing.assert_allclose(solver.solve((A @ x)[part]), x[part], rtol=0, atol=1e-8)
+
+
+def test_two_solvers_do_not_share_options(comm):
+    _, rows, columns, _, owned, _ = random_system(comm)
+    gmres = LinearSolver(
+        comm, owned, rows.copy(), columns.copy(), {"ksp_type": "gmres", "pc_type": "jacobi"}
+    )
+    other = LinearSolver(comm, owned, rows, columns)
+    assert (gmres.ksp.type, other.ksp.type) == ("gmres", "preonly")
+
+
+def test_singular_matrix_is_refused(comm):
+    A, rows, columns, values, owned, part = random_system(comm, decades=0)
+    values[(rows == 3) | (columns == 3)] = 0.0
+    solver = LinearSolver(comm, owned, rows, columns)
+    solver.set_values(values)
+    with pytest.raises(RuntimeError, match=r"could not be solved.*is every body held"):
+        solver.solve(np.ones(owned))

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+import numpy as np
+import pytest
+
+from fenicsx_hmcontact.solvers import ConvergenceError, NewtonOptions, NewtonResult, solve_newton
+
+
+class Scalar:
+    """One unknown in two equal fields: F(x) = f, slope g."""
+
+    field_names = ["first", "second"]
+
+    def __init__(self, comm, f, g, x, broken=None):
+        self.comm, self.f, self.g, self.x, self.broken = comm, f, g, x, broken
+        self.r = np.nan
+
+    def residual(self):
+        self.r = self.f(self.x)
+
+    def increment(self):
+        step = -self.r / self.g(self.x)
+        self.x += step
+        return np.array([step])
+
+    def scaled_residuals(self):
+        r = [abs(self.r), 0.5 * abs(self.r)]
+        if self.broken is not None:
+            r[self.broken] = np.nan
+        return r
+
+    def scaled_norms(self, increment):
+        return float(np.linalg.norm(increment)), abs(self.x)
+
+
+def test_finds_the_root_quadratically(comm):
+    system = Scalar(comm, lambda x: x**2 - 2, lambda x: 2 * x, 1.0)
+    result = solve_newton(system, NewtonOptions())
+    assert system.x == pytest.approx(np.sqrt(2), rel=1e-10)
+    assert isinstance(result, NewtonResult) and result.iterations == len(result.history) == 4
+    errors = [h[0] for h in result.history]
+    assert errors[2] < errors[1] ** 2 and errors[3] < errors[2] ** 2
+    assert all(h[1] == pytest.approx(h[0] / 2) for h in result.history)
+
+
+def test_linear_equations_take_one_iteration(comm):
+    system = Scalar(comm, lambda x: 3 * x - 6, lambda x: 3, 0.0)
+    assert solve_newton(system, NewtonOptions()).iterations == 1
+
+
+def test_tolerance_decides_when_to_stop(comm):
+    counts = []
+    for tolerance in (1e-2, 1e-6, 1e-10):
+        system = Scalar(comm, lambda x: np.exp(x) - 5, lambda x: 5.0, 1.4)
+        counts.append(solve_newton(system, NewtonOptions(tolerance, 100)).iterations)
+        # The largest increment is the first.
+        largest = (5 - np.exp(1.4)) / 5
+        assert abs(np.exp(system.x) - 5) <= tolerance * largest
+    assert counts[0] < counts[1] < counts[2]
+
+
+def test_round_off_of_the_state_counts_as_zero(comm):
+    # At rest but for the noise of the residual: nothing relative to the increment is small.
+    noise = iter(1e-14 * np.resize([1.0, -1.0], 99))
+    system = Scalar(comm, lambda x: next(noise), lambda x: 1.0, 1.0)
+    assert solve_newton(system, NewtonOptions()).iterations == 1
+
+
+def test_no_root_is_reported_with_the_history(comm):
+    system = Scalar(comm, lambda x: x**2 + 1, lambda x: 2 * x, 0.7)
+    with pytest.raises(ConvergenceError, match="no convergence in 7 iterations") as error:
+        solve_newton(system, NewtonOptions(max_iterations=7))
+    assert "residual of first" in str(error.value)
+    assert len(error.value.history) == 7 and min(error.value.history) > 1e-10
+
+
+@pytest.mark.parametrize("field", [0, 1])
+def test_not_a_number_names_the_field(comm, field):
+    system = Scalar(comm, lambda x: x, lambda x: 1.0, 1.0, broken=field)
+    with pytest.raises(ConvergenceError, match="is not a number") as error:
+        solve_newton(system, NewtonOptions())
+    assert f"residual of {Scalar.field_names[field]}" in str(error.value)
+    assert len(error.value.history) == 1
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-3, 1.0, np.nan, np.inf])
+def test_refuses_tolerances(tolerance):
+    with pytest.raises(ValueError, match="tolerance"):
+        NewtonOptions(tolerance=tolerance)
+
+
+@pytest.mark.parametrize("number", [0, -3])
+def test_refuses_numbers_of_iterations(number):
+    with pytest.raises(ValueError, match="max_iterations"):
+        NewtonOptions(max_iterations=number)

@@ -283,8 +283,6 @@ def draw_profiles(history, options, path, title):
         reference_label="series",
         title=title,
     )
-    for axes in figure.axes:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save(figure, path)
 
 

@@ -32,6 +32,9 @@ log = logging.getLogger(__name__)
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colours of curves, told apart by colour-blind eyes too (Okabe and Ito, 2008)."""
 
+MANY = 4
+"""A longer legend stands beside the curves, not among them."""
+
 RENDER_LIMIT = 300.0
 """Longest time [s] that one rendered picture may take."""
 
@@ -117,7 +120,10 @@ def curves(
             axes.plot(abscissa, ordinate, "--", color="black", linewidth=1.2, label=label)
         axes.set(xscale=scale[0], yscale=scale[1], title=title)
         axes.set(xlabel=_labelled(*x), ylabel=_labelled(*y))
-        if len(series) + len(reference) > 1:
+        names = len(series) + bool(reference)
+        if names > MANY:
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        elif names > 1:
             axes.legend()
     return figure
 

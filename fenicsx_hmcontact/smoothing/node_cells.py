@@ -113,7 +113,7 @@ def create_node_cells(mesh: Mesh) -> NodeCells:
             f"node cells need a mesh of triangles in the plane, not {topology.cell_type.name} cells"
             f" in {mesh.geometry.dim} dimensions"
         )
-    if mesh.geometry.cmap.degree != 1:
+    if mesh.geometry.cmaps[0].degree != 1:
         raise ValueError("node cells need straight triangles; this mesh has curved ones")
     topology.create_connectivity(2, 0)
     topology.create_connectivity(0, 2)

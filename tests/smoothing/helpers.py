@@ -7,7 +7,8 @@ import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import create_mesh
+from dolfinx.fem.petsc import assemble_matrix
+from dolfinx.mesh import create_mesh, meshtags
 from scipy.spatial import Delaunay
 
 import fenicsx_hmcontact as hm
@@ -70,15 +71,17 @@ def set_values(function, values):
 
 
 def set_cell_values(function, values):
-    """Give a DG0 function one value per input cell, ghosts included."""
-    cells = function.function_space.mesh.topology.original_cell_index
-    # Positions of cells that came with the first rank are positions in the input.
-    function.x.array[function.function_space.dofmap.list[:, 0]] = values[cells]
+    """Give a scalar DG0 function one value per input cell, ghosts included."""
+    space = function.function_space
+    # All cells came with the first rank, so that original positions are those of the input.
+    function.x.array[space.dofmap.list[:, 0]] = values[space.mesh.topology.original_cell_index]
 
 
-def on_input_cells(mesh, n_cells):
-    """Input number of each local cell, ghosts included, whichever rank handed it in."""
-    return mesh.topology.original_cell_index % n_cells
+def tag_cells(mesh, values):
+    """Cell tags from one integer per input cell, ghosts included."""
+    original = mesh.topology.original_cell_index
+    cells = np.arange(original.size, dtype=np.int32)
+    return meshtags(mesh, 2, cells, values[original].astype(np.int32))
 
 
 def smoothed_terms(form):
@@ -127,7 +130,9 @@ def assemble_triangles(form):
     if len(spaces) == 1:
         local = fem.assemble_vector(fem.form(form)).array
     else:
-        local = fem.assemble_matrix(fem.form(form)).to_dense()
+        matrix = assemble_matrix(fem.form(form))
+        matrix.assemble()
+        local = matrix.convert("dense").getDenseArray()
     result = np.zeros_like(local)
     result[np.ix_(*dofs)] = local
     return result

@@ -10,7 +10,7 @@ POINTS = {"full": 4, "deviatoric": 4, "none": 1}
 
 
 def triangle_gradients(points, cells):
-    """Signed-area-free P1 gradients of each triangle: areas (nt,), operators (nt, nn) along x, y."""
+    """Area of each triangle (nt,), and its P1 gradient along x and y; operators (nt, nn)."""
     n_cells, n_nodes = len(cells), len(points)
     areas = np.empty(n_cells)
     along = [sp.lil_matrix((n_cells, n_nodes)) for _ in range(2)]

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+import numpy as np
+import pytest
+
+from fenicsx_hmcontact import GapFlow
+
+
+def test_flow_between_parallel_plates():
+    # Poiseuille: the parabola u = -p' z (g - z) / (2 mu) over the aperture.
+    g, mu = 2e-4, 1.3e-3
+    z, w = np.polynomial.legendre.leggauss(3)
+    z, w = g * (1 + z) / 2, g * w / 2
+    flow = np.sum(w * z * (g - z)) / (2 * mu)
+    law = GapFlow(1e-9, viscosity=mu)
+    assert law.longitudinal_conductance(g) == pytest.approx(flow, rel=1e-14)
+
+
+def test_flow_across_is_darcys():
+    law = GapFlow(3e-8, unit_weight=9.81e3)
+    assert law.transverse_conductivity(2e-3) * 2e-3 * 9.81e3 == pytest.approx(3e-8, rel=1e-15)
+
+
+@pytest.mark.parametrize("name", ["transverse_permeability", "viscosity", "unit_weight"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_refuses_what_must_be_positive(name, value):
+    with pytest.raises(ValueError, match=name):
+        GapFlow(**{"transverse_permeability": 1e-9, name: value})
+
+
+@pytest.mark.parametrize("value", [-1e-16, np.nan, np.inf])
+def test_refuses_apertures(value):
+    with pytest.raises(ValueError, match="aperture"):
+        GapFlow(1e-9, aperture=value)
+
+
+@pytest.mark.parametrize("value", [None, 0.0, 1e-16, 1.0])
+def test_takes_apertures(value):
+    assert GapFlow(1e-9, aperture=value).aperture == value

@@ -470,6 +470,8 @@ def main():
     options = arguments.parse_args()
     if options.smoothing == TAYLOR_HOOD and not options.single:
         arguments.error("--smoothing taylor-hood needs --single: contact is for P1 fields")
+    if options.kx != options.ky and (options.tilt or options.unstructured):
+        arguments.error("without horizontal rows of nodes give the same --kx and --ky")
     report = Report("two_block_consolidation", comm, arguments.parameters(options))
     out = options.out
     if options.study:

@@ -175,7 +175,6 @@ class LocalPetscMatrix:
             for n in (n_rows, n_columns)
         ]
         self._matrix.setLGMap(*maps)
-        self._matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
 
     def add(self, form: fem.Form) -> None:
         """Add what this rank's cells and facets contribute to a bilinear form."""

@@ -347,8 +347,12 @@ class ContactProblem:
                         f"pair {name}: neighbouring nodes of the secondary surface are prescribed, "
                         "so that nothing ties the edge between them; swap secondary and primary"
                     )
-            if coupling.pair.flow is not None and len(displacements) == len(coupling.operators):
-                raise ValueError(f"pair {name} has a flow law, but no field is a pore pressure")
+            n_pressures = len(coupling.operators) - len(displacements)
+            if coupling.pair.flow is not None and n_pressures != 1:
+                raise ValueError(
+                    f"pair {name} has a flow law, which needs one scalar field, the pore pressure; "
+                    f"there are {n_pressures}"
+                )
             if _aperture(coupling.pair) > 0.0 and self._time_step is None:
                 raise ValueError(
                     f"pair {name} has water in a gap of given aperture: the problem needs time_step"
@@ -411,6 +415,10 @@ class ContactProblem:
             for term in terms:
                 term.add_to_vector(view)
         self.layout.add_ghosts_to_owners(self._raw)
+        sums = [float(view.sum()) for view in self.layout.views(self._raw)]
+        for name, total in zip(self.field_names, self.comm.allreduce(np.array(sums)), strict=True):
+            if not np.isfinite(total):
+                raise FloatingPointError(f"the residual of {name} is not a number")
         self._condensed[:] = self._raw
         if self._couplings:
             current = np.concatenate([u.x.array for u in self.unknowns])

@@ -32,6 +32,12 @@ def shared_tmp_path(comm: MPI.Intracomm) -> Iterator[Path]:
         shutil.rmtree(path)
 
 
+def pytest_collection_finish() -> None:
+    """Spare the collection after each test all that was imported."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_teardown() -> Generator[None]:
     """Destroy PETSc and DOLFINx objects, which is collective, on all ranks at the same place."""

@@ -60,21 +60,20 @@ def stack(comm, across, *, width=1.0, levels=None, rows=3, slope=0.0, shift=0.0,
 
 
 def fix(domain, space, surface, value=0.0):
-    """Prescribe a function of x, a number, a constant or a vector on a surface."""
+    """Prescribe a constant or a function of x on a surface, of a space or one component."""
     facets = domain.facet_tags.find(domain.surface(surface))
-    # A component takes a function of its collapsed space.
-    if callable(value) and space.component():
-        collapsed, _ = space.collapse()
-        function = fem.Function(collapsed)
-        function.interpolate(value)
-        dofs = fem.locate_dofs_topological((space, collapsed), 1, facets)
-        return fem.dirichletbc(function, dofs, space)
     dofs = fem.locate_dofs_topological(space, 1, facets)
-    if callable(value):
+    if isinstance(value, fem.Constant) or not callable(value):
+        return fem.dirichletbc(value, dofs, space)
+    if not space.component():
         function = fem.Function(space)
         function.interpolate(value)
         return fem.dirichletbc(function, dofs)
-    return fem.dirichletbc(value, dofs, space)
+    collapsed, _ = space.collapse()
+    function = fem.Function(collapsed)
+    function.interpolate(value)
+    dofs = fem.locate_dofs_topological((space, collapsed), 1, facets)
+    return fem.dirichletbc(function, dofs, space)
 
 
 class Elastic:
@@ -89,8 +88,6 @@ class Elastic:
         pairs=(),
         material=MATERIAL,
         smoothing="deviatoric",
-        replace=None,
-        model=None,
         **options,
     ):
         mesh = domain.mesh
@@ -111,8 +108,8 @@ class Elastic:
 class Porous:
     """Consolidating blocks; one step at a time.
 
-    ``fixed`` maps (surface, component) to values, ``drained`` surfaces to pressures. ``gravity``
-    switches water of unit weight gamma and the given weight of the whole on.
+    ``fixed`` maps (surface, component) to values, ``drained`` surfaces to pressures, ``fluxes``
+    surfaces to outflows. A ``weight`` of the whole brings gravity, of the water too.
     """
 
     def __init__(
@@ -144,7 +141,8 @@ class Porous:
         v, q = ufl.TestFunctions(ufl.MixedFunctionSpace(V, Q))
         self.dt = fem.Constant(mesh, float(dt))
         gamma = fem.Constant(mesh, float(unit_weight))
-        k = fem.Constant(mesh, np.eye(2) * permeability)
+        if not isinstance(permeability, fem.Function):
+            permeability = fem.Constant(mesh, np.eye(2) * permeability)
         down = None if weight is None else ufl.as_vector((0.0, -1.0))
         dc = hm.node_cells_measure(smoothing)
         F = hm.equilibrium(
@@ -161,7 +159,7 @@ class Porous:
             self.p,
             q,
             self.dt,
-            permeability=k,
+            permeability=permeability,
             unit_weight=gamma,
             gravity=down,
             smoothed=dc,
@@ -199,9 +197,8 @@ def loads(domain, v, tractions):
     ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
     form = 0
     for name, t in tractions.items():
-        t = fem.Constant(domain.mesh, np.asarray(t, float)) if not ufl.core.expr.Expr in type(
-            t
-        ).__mro__ else t
+        if not isinstance(t, fem.Constant):
+            t = fem.Constant(domain.mesh, np.asarray(t, float))
         form -= ufl.dot(t, v) * ds(domain.surface(name))
     return form
 

@@ -17,7 +17,7 @@ class GapFlow:
         unit_weight: Unit weight gamma_f [N/m^3] of the water.
         aperture: Constant hydraulic aperture [m], filled and not stored in; None for the contact
             gap. Where it is zero, or the surfaces are closed, the pore pressure is continuous.
-            The elevation of the two faces is taken as the same.
+            Gravity is not considered in the film: its water flows by pressure alone.
 
     Raises:
         ValueError: If a value is not positive (the aperture: negative).

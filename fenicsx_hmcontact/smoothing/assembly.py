@@ -25,7 +25,8 @@ class SmoothedTerm:
         spaces: Space of the test and, for a tangent, of the trial field.
 
     Raises:
-        ValueError: If the term is restricted to cells whose border runs through node cells.
+        ValueError: If the term is restricted to cells whose border runs through node cells or that
+            do not exist, or one of its functions lives on another mesh.
     """
 
     def __init__(
@@ -39,6 +40,9 @@ class SmoothedTerm:
         self._compiled = compiled
         (self._address,) = _compat.kernel_addresses(compiled)
         self._node_cells = node_cells
+        for f in point_form.coefficients:
+            if f.function_space.mesh != node_cells.mesh:
+                raise ValueError(f"{f.name} lives on another mesh than the node cells of its term")
         self.cells = _cells_of(point_form, node_cells)
         self._dofs = [node_cells.block_dofs(space) for space in spaces]
         self._field_slots = _component_slots(point_form)
@@ -178,8 +182,12 @@ def _cells_of(form: PointForm, node_cells: NodeCells) -> npt.NDArray[np.int32]:
     if not form.subdomain:
         return everywhere
     tags = form.subdomain_data
-    if tags is None:
-        raise ValueError(f"dc({form.subdomain}) needs the measure's subdomain_data=cell tags")
+    ids = form.subdomain[0] if len(form.subdomain) == 1 else form.subdomain
+    if getattr(tags, "dim", None) != 2:
+        raise ValueError(f"dc({ids}) needs subdomain_data with tags of cells")
+    tagged = node_cells.mesh.comm.allreduce(int(np.isin(tags.values, form.subdomain).sum()))
+    if not tagged:
+        raise ValueError(f"dc({ids}): no cell has such a tag")
     inside = np.zeros(node_cells.vertices.shape[0])
     inside[tags.indices[np.isin(tags.values, form.subdomain)]] = 1.0
     starts = node_cells.triangle_offsets[:-1]
@@ -188,7 +196,7 @@ def _cells_of(form: PointForm, node_cells: NodeCells) -> npt.NDArray[np.int32]:
     straddling = node_cells.mesh.comm.allreduce(int(np.sum(least != most)))
     if straddling:
         raise ValueError(
-            f"dc({form.subdomain}) cuts through {straddling} node cells: layers that share nodes "
+            f"dc({ids}) cuts through {straddling} node cells: layers that share nodes "
             "need one term with coefficients constant on triangles (DG 0) instead"
         )
     return everywhere[most > 0.0]

@@ -9,10 +9,12 @@ assembly multiplies with the smoothed gradients of the shape functions.
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import basix
 import basix.ufl
 import numpy as np
 import ufl
@@ -25,6 +27,7 @@ from ufl.classes import (
     Constant,
     Expr,
     Form,
+    FormArgument,
     GeometricQuantity,
     Grad,
     Integral,
@@ -33,7 +36,7 @@ from ufl.classes import (
 )
 from ufl.corealg.multifunction import MultiFunction
 
-from .measure import METADATA_KEY, Enhancement
+from .measure import METADATA_KEY, Enhancement, check_enhancement
 
 UNUSED = -1
 
@@ -139,7 +142,7 @@ def split_by_measure(form: Form | None) -> tuple[list[Integral], Form | None]:
         Integrals over node cells, and the form of all other terms (None if there is none).
 
     Raises:
-        ValueError: If a facet term asks for node cells.
+        ValueError: If a facet term asks for node cells, or the enhancement has no such name.
     """
     if form is None or isinstance(form, ZeroBaseForm):
         return [], None
@@ -147,7 +150,9 @@ def split_by_measure(form: Form | None) -> tuple[list[Integral], Form | None]:
     for integral in form.integrals():
         if METADATA_KEY not in integral.metadata():
             rest.append(integral)
-        elif integral.integral_type() == "cell":
+            continue
+        check_enhancement(integral.metadata()[METADATA_KEY])
+        if integral.integral_type() == "cell":
             smoothed.append(integral)
         else:
             raise ValueError(
@@ -169,9 +174,12 @@ def check_smoothable(form: Form) -> None:
             if isinstance(expression, Grad) and any(
                 isinstance(e, Grad) for e in _unique(expression.ufl_operands[0])
             ):
+                names = ", ".join(
+                    str(e) for e in _unique(expression) if isinstance(e, FormArgument)
+                )
                 raise ValueError(
-                    "a second derivative cannot be smoothed over node cells: "
-                    f"put the term {expression} on dx, or lower its order"
+                    f"a second derivative (of {names}) cannot be smoothed over node cells: "
+                    "put its term on dx, or lower its order"
                 )
             if isinstance(expression, (Argument, Coefficient)):
                 _check_element(expression)
@@ -195,22 +203,32 @@ def point_forms(form: Form | None) -> list[PointForm]:
     """
     if form is None:
         return []
-    groups: dict[tuple[Enhancement, tuple[int, ...]], list[Integral]] = {}
     integrals, _ = split_by_measure(expand_derivatives(form))
+    # UFL splits dc((1, 2)) into one integral an id; a node cell may lie in both.
+    united: dict[tuple[Enhancement, int, Expr], set[int]] = {}
+    tags = {}
     for integral in integrals:
-        key = (integral.metadata()[METADATA_KEY], _ids(integral.subdomain_id()))
-        groups.setdefault(key, []).append(integral)
+        data = integral.subdomain_data()
+        tags[id(data)] = data
+        key = (integral.metadata()[METADATA_KEY], id(data), integral.integrand())
+        united.setdefault(key, set()).update(_ids(integral.subdomain_id()))
+    groups: dict[tuple[Enhancement, int, tuple[int, ...]], list[Expr]] = {}
+    for (enhancement, data_id, integrand), ids in united.items():
+        groups.setdefault((enhancement, data_id, tuple(sorted(ids))), []).append(integrand)
     return [
-        _transform([i.integrand() for i in group], enhancement, ids, group[0].subdomain_data())
-        for (enhancement, ids), group in sorted(groups.items())
+        _transform(integrands, enhancement, ids, tags[data_id])
+        for (enhancement, data_id, ids), integrands in groups.items()
     ]
 
 
 def _ids(subdomain_id: Any) -> tuple[int, ...]:
-    if subdomain_id in ("everywhere", "otherwise"):
+    """Ids of the cells that an integral is restricted to; empty for everywhere."""
+    if subdomain_id == "everywhere":
         return ()
     ids = subdomain_id if isinstance(subdomain_id, tuple) else (subdomain_id,)
-    return () if "otherwise" in ids or "everywhere" in ids else tuple(sorted(ids))
+    if not all(isinstance(i, numbers.Integral) for i in ids):
+        raise ValueError(f"dc({subdomain_id!r}): node cells are restricted by cell tags, numbers")
+    return tuple(int(i) for i in ids)
 
 
 def _unique(expression: Expr) -> Iterator[Expr]:
@@ -246,10 +264,14 @@ def _uses(expressions: Iterable[Expr]) -> tuple[set[Expr], set[Expr]]:
 
 def _check_element(f: Argument | Coefficient) -> None:
     element = f.ufl_element()
-    degree, continuous = element.embedded_superdegree, element in ufl.H1
-    symmetric = getattr(element, "_symmetry", None) or getattr(element, "is_symmetric", False)
-    on_triangles = degree == 0 and isinstance(f, Coefficient)
-    if symmetric or not ((degree == 1 and continuous) or on_triangles):
+    family = getattr(element, "element_family", None)
+    lagrange = family == basix.ElementFamily.P and element.num_sub_elements in (
+        0,
+        element.block_size,
+    )
+    p1 = lagrange and element.degree == 1 and not element.discontinuous
+    on_triangles = lagrange and element.degree == 0 and isinstance(f, Coefficient)
+    if getattr(element, "is_symmetric", False) or not (p1 or on_triangles):
         raise ValueError(
             f"{f} lives on {element}; node cells smooth continuous P1 fields "
             "(and take coefficients constant on triangles): put its terms on dx"

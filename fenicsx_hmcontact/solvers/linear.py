@@ -16,8 +16,14 @@ DEFAULT_OPTIONS = {
     "ksp_type": "preonly",
     "pc_type": "lu",
     "pc_factor_mat_solver_type": "mumps",
+    # Report pivots below round-off of a matrix with unit diagonal, instead of dividing by them.
+    "mat_mumps_icntl_24": 1,
+    "mat_mumps_cntl_3": -1e-13,
 }
 """Direct solver: the systems are indefinite, and unsymmetric as soon as something slides."""
+
+NULL_PIVOTS = 28
+"""MUMPS' INFOG entry that counts them."""
 
 _numbers = itertools.count()
 
@@ -64,9 +70,8 @@ class LinearSolver:
         for name, value in options.items():
             database[prefix + name] = value
         self.ksp.setOperators(self.matrix)
+        # They stay in the database, under this solver's own prefix: MUMPS reads its options late.
         self.ksp.setFromOptions()
-        for name in options:
-            del database[prefix + name]
 
     def set_values(self, values: npt.NDArray[np.float64]) -> None:
         """Set the entries, in the order of the pattern, and scale the matrix. Collective."""
@@ -92,11 +97,24 @@ class LinearSolver:
             RuntimeError: If the solver fails, with PETSc's reason.
         """
         self._b.array[:] = self.scale * b
-        self.ksp.solve(self._b, self._x)
+        try:
+            self.ksp.solve(self._b, self._x)
+        except PETSc.Error as error:
+            raise RuntimeError(f"the linear solver cannot be used here: {error}") from error
         reason = self.ksp.getConvergedReason()
-        if reason < 0 or not np.isfinite(self._x.norm()):
+        singular = self._null_pivots()
+        if singular:
             raise RuntimeError(
-                f"the linear system could not be solved (PETSc reason {reason}): "
-                "is every body held, and every pressure field drained somewhere or stored?"
+                f"the linear system is singular, {singular} motions or pressures are free: a body "
+                "has no support, or a pore pressure is prescribed nowhere and not stored"
             )
+        if reason < 0 or not np.isfinite(self._x.norm()):
+            raise RuntimeError(f"the linear system could not be solved (PETSc reason {reason})")
         return self.scale * self._x.array
+
+    def _null_pivots(self) -> int:
+        """Number of pivots that MUMPS found to be zero."""
+        pc = self.ksp.getPC()
+        if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
+            return 0
+        return int(pc.getFactorMatrix().getMumpsInfog(NULL_PIVOTS))

@@ -65,7 +65,11 @@ class System(Protocol):
     comm: MPI.Comm
 
     def residual(self) -> None:
-        """Assemble the residual at the current state."""
+        """Assemble the residual at the current state; it may hold anything but must be finite.
+
+        Raises:
+            FloatingPointError: If it is not, naming the field; on all ranks alike.
+        """
 
     def increment(self) -> npt.NDArray[np.float64]:
         """Assemble the tangent where it has changed, solve, and add the increment."""
@@ -100,12 +104,12 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
     """
     result = NewtonResult()
     largest_increment = 0.0
-    system.residual()
     worst: list[float] = []
+    _residual(system, worst)
     while result.iterations < options.max_iterations:
         increment = system.increment()
-        system.residual()
         result.iterations += 1
+        _residual(system, worst)
         size, state = system.scaled_norms(increment)
         largest_increment = max(largest_increment, size)
         residuals = system.scaled_residuals()
@@ -113,9 +117,6 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
         relative = [r / largest_increment if largest_increment > 0.0 else r for r in residuals]
         result.history.append(relative)
         worst.append(max(relative))
-        if not np.all(np.isfinite(residuals)):
-            name = system.field_names[int(np.argmin(np.isfinite(residuals)))]
-            raise ConvergenceError(f"the residual of {name} is not a number", worst)
         if all(r <= max(options.tolerance * largest_increment, floor) for r in residuals):
             return result
     name = system.field_names[int(np.argmax(result.history[-1]))]
@@ -124,3 +125,10 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
         f"{worst[-1]:.1e} of the increment",
         worst,
     )
+
+
+def _residual(system: System, history: list[float]) -> None:
+    try:
+        system.residual()
+    except FloatingPointError as error:
+        raise ConvergenceError(str(error), history) from error

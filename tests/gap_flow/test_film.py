@@ -63,7 +63,7 @@ def test_mean_pressure_is_that_of_both_faces(comm, across, slope):
 
 
 def test_mean_pressure_is_the_prescribed_one_at_a_reservoir(comm):
-    secondary, primary, operator, _, _ = film(comm, (5, 7), 0.0)
+    _, _, operator, _, _ = film(comm, (5, 7), 0.0)
     prescribed = np.arange(8) == 0
     of_secondary, of_primary = mean_pressure(operator, prescribed)
     unknowns = np.where(prescribed, 42.0, 0.0)

@@ -159,9 +159,7 @@ def test_anisotropic_permeability(comm, smoothing):
 def test_hydrostatic_column_under_its_own_weight_stays(comm, smoothing):
     weight = 2e4
     domain = stack(comm, (3,), rows=5, alternate=True)
-    model = Porous(
-        domain, fixed=SIDES, drained={"top_0": 0.0}, weight=weight, smoothing=smoothing
-    )
+    model = Porous(domain, fixed=SIDES, drained={"top_0": 0.0}, weight=weight, smoothing=smoothing)
     for _ in range(4):
         model.step(1e12)
     p = fem.Function(model.Q)

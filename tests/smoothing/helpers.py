@@ -44,9 +44,7 @@ def make_mesh(points, cells, comm=COMM, partitioner=None):
     """Hand a mesh in on the first rank; ranks get whole node patches unless told otherwise."""
     if comm.rank > 0:
         points, cells = points[:0], cells[:0]
-    return create_mesh(
-        comm, cells, TRIANGLE, points, partitioner or hm.vertex_ghost_partitioner()
-    )
+    return create_mesh(comm, cells, TRIANGLE, points, partitioner or hm.vertex_ghost_partitioner())
 
 
 def input_nodes(space):

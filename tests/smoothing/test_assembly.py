@@ -9,6 +9,8 @@ import scipy.linalg
 import scipy.sparse as sp
 import ufl
 from dolfinx import fem
+
+import fenicsx_hmcontact as hm
 from tests.smoothing.helpers import (
     COMM,
     ENHANCEMENTS,
@@ -25,8 +27,6 @@ from tests.smoothing.helpers import (
     tag_cells,
 )
 from tests.smoothing.twin import make_twin
-
-import fenicsx_hmcontact as hm
 
 pytestmark = pytest.mark.mpi
 
@@ -146,7 +146,9 @@ def test_pressure_at_the_node_couples_as_on_triangles(kind, enhancement):
     p, v = ufl.TrialFunction(Q), ufl.TestFunction(V)
     ours = assemble(p * ufl.div(v) * measure)
     V1, Q1 = spaces(points, triangles, MPI.COMM_SELF)
-    on_triangles = assemble_triangles(ufl.TrialFunction(Q1) * ufl.div(ufl.TestFunction(V1)) * ufl.dx)
+    on_triangles = assemble_triangles(
+        ufl.TrialFunction(Q1) * ufl.div(ufl.TestFunction(V1)) * ufl.dx
+    )
     assert abs(ours - on_triangles).max() <= 1e-15 * max(1.0, abs(on_triangles).max())
     u, q = ufl.TrialFunction(V), ufl.TestFunction(Q)
     assert abs(assemble(q * ufl.div(u) * measure) - ours.T).max() <= 1e-15
@@ -224,10 +226,10 @@ def test_constants_are_read_at_every_assembly():
     xx, xy, yx, yy = twin.displacement_gradient("deviatoric")
     e = [[xx, 0.5 * (xy + yx)], [0.5 * (xy + yx), yy]]
     volume = xx + yy
-    sigma = [[2 * G * e[i][j] + (LAME * volume if i == j else 0 * xx) for j in (0, 1)] for i in (0, 1)]
-    turned = [
-        [sum(skew.value[i, k] * sigma[k][j] for k in (0, 1)) for j in (0, 1)] for i in (0, 1)
+    sigma = [
+        [2 * G * e[i][j] + (LAME * volume if i == j else 0 * xx) for j in (0, 1)] for i in (0, 1)
     ]
+    turned = [[sum(skew.value[i, k] * sigma[k][j] for k in (0, 1)) for j in (0, 1)] for i in (0, 1)]
     w = sp.diags(twin.point_weights("deviatoric"))
     gradient = [[xx, xy], [yx, yy]]
     expected = sum(gradient[i][j].T @ w @ turned[i][j] for i in (0, 1) for j in (0, 1))
@@ -381,7 +383,6 @@ def test_only_the_volumetric_enhancement_locks():
         matrix = stiffness(points, triangles, smoothing, *moduli)
         u = np.linalg.solve(matrix[np.ix_(free, free)], load[free])
         error[smoothing] = u[np.searchsorted(free, 2 * tip + 1)] / 19.304 - 1.0
-    print(error)
     assert abs(error["none"]) < 0.05
     assert abs(error["deviatoric"]) < 0.12
     assert error["full"] < -0.35

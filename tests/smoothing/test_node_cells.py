@@ -15,11 +15,11 @@ from dolfinx.mesh import (
     create_unit_cube,
     create_unit_square,
 )
-from tests.smoothing.helpers import COMM, ENHANCEMENTS, KINDS, make_mesh, set_values, square
-from tests.smoothing.twin import make_twin
 
 from fenicsx_hmcontact._kernels import node_cells as kernels
 from fenicsx_hmcontact.smoothing import create_node_cells
+from tests.smoothing.helpers import COMM, ENHANCEMENTS, KINDS, make_mesh, set_values, square
+from tests.smoothing.twin import make_twin
 
 pytestmark = pytest.mark.mpi
 

@@ -6,6 +6,8 @@ import pytest
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
+
+import fenicsx_hmcontact as hm
 from tests.smoothing.helpers import (
     COMM,
     ENHANCEMENTS,
@@ -16,8 +18,6 @@ from tests.smoothing.helpers import (
     smoothed_terms,
     square,
 )
-
-import fenicsx_hmcontact as hm
 
 pytestmark = pytest.mark.mpi
 
@@ -116,10 +116,8 @@ def test_coupled_fields(enhancement):
 
 
 def axisymmetric_strain(u, r):
-    # At the axis the weight r of the term is zero, but 0/0 is not: there the hoop strain takes its
-    # limit du_r/dr, and the denominator is kept off zero in the branch that is not taken.
-    at_axis = ufl.lt(r, 1e-12)
-    hoop = ufl.conditional(at_axis, u[0].dx(0), u[0] / ufl.conditional(at_axis, 1.0, r))
+    # At the axis the weight r makes any finite hoop strain vanish from the term, but not 0/0.
+    hoop = u[0] / ufl.conditional(ufl.lt(r, 1e-12), 1.0, r)
     e = ufl.sym(ufl.grad(u))
     return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, hoop]])
 
@@ -162,6 +160,8 @@ def test_forces_turn_with_the_body(enhancement):
 
 # --- Newton --------------------------------------------------------------------------------------
 
+TIGHT = hm.NewtonOptions(tolerance=1e-13)
+
 
 def boundary_dofs(V):
     tdim = V.mesh.topology.dim
@@ -178,7 +178,8 @@ def test_patch_of_finite_strain(smoothing):
     exact = fem.Function(V)
     exact.interpolate(lambda x: slope @ x[:2])
     form = ufl.inner(first_piola(u, 1.3, 2.1), ufl.grad(v)) * hm.node_cells_measure(smoothing)
-    problem = hm.ContactProblem(form, u, bcs=[fem.dirichletbc(exact, boundary_dofs(V))])
+    bc = fem.dirichletbc(exact, boundary_dofs(V))
+    problem = hm.ContactProblem(form, u, bcs=[bc], newton=TIGHT)
     assert (problem.node_cells is None) == (smoothing == "triangles")
     problem.solve()
     assert np.allclose(u.x.array, exact.x.array, rtol=0, atol=1e-13)
@@ -193,16 +194,12 @@ def test_newton_converges_quadratically(enhancement):
     moved = fem.Function(V)
     moved.interpolate(lambda x: np.vstack((0.0 * x[0], -0.2 * x[1])))
     form = ufl.inner(first_piola(u, 1.0, 1.5), ufl.grad(v)) * hm.node_cells_measure(enhancement)
-    options = hm.NewtonOptions(tolerance=1e-13)
-    problem = hm.ContactProblem(form, u, bcs=[fem.dirichletbc(moved, plates)], newton=options)
+    problem = hm.ContactProblem(form, u, bcs=[fem.dirichletbc(moved, plates)], newton=TIGHT)
     result = problem.solve()
     residuals = np.array([r for (r,) in result.history])
     assert result.iterations <= 6
-    # Residuals near round-off say nothing.
-    logs = np.log10(residuals[residuals > 1e-12])
-    assert len(logs) >= 3
-    orders = np.diff(logs)[1:] / np.diff(logs)[:-1]
-    assert orders[-1] > 1.8
+    assert residuals[0] > 1e-3
+    assert np.all(residuals[1:] < 10.0 * residuals[:-1] ** 2 + 1e-14)
     # The support forces of both plates balance.
     reactions = problem.reactions(u).x.array[: V.dofmap.index_map.size_local * 2].reshape(-1, 2)
     total = COMM.allreduce(reactions.sum(axis=0))

@@ -28,9 +28,7 @@ def test_every_unknown_has_one_global_number(comm, layout, spaces):
     sizes = [V.dofmap.index_map.size_global * V.dofmap.index_map_bs for V in spaces]
     assert layout.n_global == sum(sizes)
     first = layout.first
-    assert np.array_equal(
-        layout.global_index[layout.owned], first + np.arange(layout.owned.size)
-    )
+    assert np.array_equal(layout.global_index[layout.owned], first + np.arange(layout.owned.size))
     owners = comm.allgather(np.flatnonzero(layout.owns(np.arange(layout.n_global))))
     np.testing.assert_array_equal(np.concatenate(owners), np.arange(layout.n_global))
 
@@ -66,9 +64,7 @@ def test_blocks_of_a_field(layout, spaces):
         local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
         numbers = layout.global_of_blocks(field, index_map.local_to_global(local))
         assert numbers.shape == (local.size, bs)
-        np.testing.assert_array_equal(
-            numbers.ravel(), layout.views(layout.global_index)[field]
-        )
+        np.testing.assert_array_equal(numbers.ravel(), layout.views(layout.global_index)[field])
 
 
 def test_adding_ghosts_counts_the_ranks_that_see_an_unknown(comm, layout):
@@ -90,9 +86,7 @@ def test_gather_takes_owners_values_in_any_order(comm, layout):
 
 
 def test_fields_of_owned_unknowns(layout, spaces):
-    expected = [
-        V.dofmap.index_map.size_local * V.dofmap.index_map_bs for V in spaces
-    ]
+    expected = [V.dofmap.index_map.size_local * V.dofmap.index_map_bs for V in spaces]
     np.testing.assert_array_equal(np.bincount(layout.field_of_owned(), minlength=3), expected)
     array = np.arange(layout.n_local, dtype=float)
     views = layout.views(array)

@@ -76,11 +76,13 @@ def test_default_is_mumps(comm):
         {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "superlu_dist"},
     ],
 )
-def test_options_reach_petsc_and_leave_no_trace(comm, options):
+def test_options_reach_petsc_under_a_prefix_of_their_own(comm, options):
     A, rows, columns, values, owned, part = random_system(comm, decades=1)
     before = PETSc.Options().getAll()
     solver = LinearSolver(comm, owned, rows, columns, options)
-    assert PETSc.Options().getAll() == before
+    prefix = solver.ksp.getOptionsPrefix()
+    added = {name for name in PETSc.Options().getAll() if name not in before}
+    assert added == {prefix + name for name in options}
     assert (solver.ksp.type, solver.ksp.pc.type) == (options["ksp_type"], options["pc_type"])
     if "pc_factor_mat_solver_type" in options:
         assert solver.ksp.pc.getFactorSolverType() == options["pc_factor_mat_solver_type"]
@@ -99,9 +101,33 @@ def test_two_solvers_do_not_share_options(comm):
 
 
 def test_singular_matrix_is_refused(comm):
-    A, rows, columns, values, owned, part = random_system(comm, decades=0)
+    _, rows, columns, values, owned, _ = random_system(comm, decades=0)
     values[(rows == 3) | (columns == 3)] = 0.0
     solver = LinearSolver(comm, owned, rows, columns)
     solver.set_values(values)
-    with pytest.raises(RuntimeError, match=r"could not be solved.*is every body held"):
+    with pytest.raises(RuntimeError, match="singular, 1 motions or pressures are free"):
+        solver.solve(np.ones(owned))
+
+
+def test_options_of_the_factorisation_reach_it(comm):
+    # PETSc reads them when it factorises, not when the solver is made.
+    _, rows, columns, values, owned, _ = random_system(comm, decades=0)
+    options = {
+        "ksp_type": "preonly",
+        "pc_type": "lu",
+        "pc_factor_mat_solver_type": "mumps",
+        "mat_mumps_icntl_14": 77,
+    }
+    solver = LinearSolver(comm, owned, rows, columns, options)
+    solver.set_values(values)
+    solver.solve(np.ones(owned))
+    assert solver.ksp.pc.getFactorMatrix().getMumpsIcntl(14) == 77
+
+
+def test_solver_that_is_not_there_is_reported(comm):
+    _, rows, columns, values, owned, _ = random_system(comm, decades=0)
+    options = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "nonesuch"}
+    solver = LinearSolver(comm, owned, rows, columns, options)
+    solver.set_values(values)
+    with pytest.raises(RuntimeError, match="the linear solver cannot be used here"):
         solver.solve(np.ones(owned))

@@ -32,7 +32,8 @@ def test_channel_between_nearly_impermeable_blocks(comm, across, order, smoothin
         dt=dt,
     )
     for _ in range(3):
-        model.step()
+        # The reservoirs' pressures reach the film in the first iteration.
+        assert model.step().iterations == 1
     flow = g**3 * drop / (12 * mu * width)
     entering = total(model.problem.reactions(model.p), model.domain)
     assert abs(entering[0]) < 1e-8 * flow * dt

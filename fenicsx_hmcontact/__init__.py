@@ -15,6 +15,7 @@ from . import _compat
 _compat.check_dolfinx()
 
 from .contact import ContactPair, MortarOptions, Tied  # noqa: E402
+from .coupling import InterfaceState  # noqa: E402
 from .domain import Domain, vertex_ghost_partitioner  # noqa: E402
 from .gap_flow import GapFlow  # noqa: E402
 from .materials import LinearElastic  # noqa: E402
@@ -24,7 +25,7 @@ from .poromechanics import (  # noqa: E402
     pressure_projection,
     water_balance,
 )
-from .problem import ContactProblem, InterfaceState  # noqa: E402
+from .problem import ContactProblem  # noqa: E402
 from .smoothing import create_node_cells, dc, node_cells_measure  # noqa: E402
 from .solvers import ConvergenceError, NewtonOptions  # noqa: E402
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,20 +13,8 @@ import ufl
 from dolfinx import fem
 
 from . import _compat
-from .contact import (
-    Condensation,
-    ContactPair,
-    Dependence,
-    MortarOperator,
-    Segments,
-    Surface,
-    covered_mass,
-    gather_surface,
-    mortar_operator,
-    mortar_segments,
-    surface_dofs,
-)
-from .gap_flow import film_conductance
+from .contact import Condensation, ContactPair
+from .coupling import Coupling, InterfaceState
 from .model import CompiledBlock, CompiledModel, compile_model
 from .smoothing import SmoothedTerm, create_node_cells
 from .solvers import (
@@ -38,41 +25,6 @@ from .solvers import (
     NewtonResult,
     solve_newton,
 )
-
-
-@dataclass(frozen=True)
-class InterfaceState:
-    """What acts between the surfaces of a pair, at the nodes of the secondary surface.
-
-    Attributes:
-        points: Coordinates of the nodes [m]; shape (n, 2).
-        normals: Unit normals, from primary to secondary; shape (n, 2).
-        pressure: Effective contact pressure [Pa], compression positive; nan at dropped nodes; (n,).
-        shear: Shear traction on the secondary surface along the tangent (n_y, -n_x) [Pa]; (n,).
-        pore_pressure: Mean pore pressure of both faces [Pa], zero without water; (n,).
-        jump: Pore pressure of the secondary less that of the primary face [Pa]; (n,).
-    """
-
-    points: npt.NDArray[np.float64]
-    normals: npt.NDArray[np.float64]
-    pressure: npt.NDArray[np.float64]
-    shear: npt.NDArray[np.float64]
-    pore_pressure: npt.NDArray[np.float64]
-    jump: npt.NDArray[np.float64]
-
-
-@dataclass
-class _Coupling:
-    """One pair on the mesh: surfaces, segments, and an operator for each field component."""
-
-    pair: ContactPair
-    secondary: Surface
-    primary: Surface
-    segments: Segments
-    operators: dict[tuple[int, int], MortarOperator]
-    secondary_dofs: dict[tuple[int, int], npt.NDArray[np.int64]]
-    primary_dofs: dict[tuple[int, int], npt.NDArray[np.int64]]
-    prescribed: dict[tuple[int, int], npt.NDArray[np.bool_]]
 
 
 class ContactProblem:
@@ -137,10 +89,7 @@ class ContactProblem:
         self._bind(self.model, self.model.successor(self.unknowns, replace or {}))
 
         self._constrained = self._prescribed_unknowns()
-        self._couplings = [self._couple(pair) for pair in pairs]
-        self._check_pairs()
-        self.condensation = Condensation(self._dependences(), self.layout)
-        self._film = self._assemble_film()
+        self._couple(pairs)
 
         self._raw = np.zeros(self.layout.n_local)
         self._condensed = np.zeros(self.layout.n_local)
@@ -200,41 +149,11 @@ class ContactProblem:
         Raises:
             ValueError: If the pair is none of this problem's.
         """
-        coupling = next((c for c in self._couplings if c.pair is pair), None)
-        if coupling is None:
-            raise ValueError(f"pair {pair.name} is none of this problem's")
-        normals = coupling.secondary.normals
-        n = len(normals)
-        mean, jump = np.zeros(n), np.zeros(n)
-        film_force = np.zeros(n)
-        current = np.concatenate([u.x.array for u in self.unknowns])
-        force = np.full((n, 2), np.nan)
-        for key, operator in coupling.operators.items():
-            if self.layout.block_sizes[key[0]] == 1:
-                secondary = self.layout.gather(coupling.secondary_dofs[key], current)
-                primary = self.layout.gather(coupling.primary_dofs[key], current)
-                jump = operator.kept * (secondary + operator.C @ secondary - operator.H @ primary)
-                mean = secondary - 0.5 * jump * ~coupling.prescribed[key]
-                mass = covered_mass(coupling.secondary, coupling.segments, operator.kept)
-                with np.errstate(invalid="ignore"):
-                    film_force = np.where(operator.kept, (mass @ mean) / operator.D, 0.0)
-        for (field, component), operator in coupling.operators.items():
-            if self.layout.block_sizes[field] == 2:
-                r = self.layout.gather(coupling.secondary_dofs[field, component], self._raw)
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    traction = np.where(operator.kept, r / operator.D, np.nan)
-                # The residual is internal less external force: what the primary does to the
-                # secondary, solid and water together.
-                force[:, component] = traction - film_force * normals[:, component]
-        tangents = np.column_stack((normals[:, 1], -normals[:, 0]))
-        return InterfaceState(
-            coupling.secondary.points,
-            normals,
-            np.sum(force * normals, axis=1),
-            np.sum(force * tangents, axis=1),
-            mean,
-            jump,
-        )
+        for coupling in self._couplings:
+            if coupling.pair is pair:
+                current = np.concatenate([u.x.array for u in self.unknowns])
+                return coupling.state(current, self._raw)
+        raise ValueError(f"pair {pair.name} is none of this problem's")
 
     # --- building ---------------------------------------------------------------------------
 
@@ -291,116 +210,23 @@ class ContactProblem:
         self.layout.add_ghosts_to_owners(marks)
         return marks > 0.0
 
-    def _couple(self, pair: ContactPair) -> _Coupling:
-        mesh = self.unknowns[0].function_space.mesh
-        secondary = gather_surface(mesh, pair.facet_tags, pair.secondary, str(pair.secondary))
-        primary = gather_surface(mesh, pair.facet_tags, pair.primary, str(pair.primary))
-        segments = mortar_segments(secondary, primary, pair.mortar)
-        coupling = _Coupling(pair, secondary, primary, segments, {}, {}, {}, {})
-        marks = self._constrained.astype(float)
-        for field, u in enumerate(self.unknowns):
-            components = self.layout.block_sizes[field]
-            if components == 1 and pair.flow is None:
-                continue
-            space = u.function_space
-            if space.element.basix_element.degree != 1:
-                raise ValueError(
-                    f"pair {pair.name}: contact needs P1 fields, {u.name} is of degree "
-                    f"{space.element.basix_element.degree}"
-                )
-            on_secondary = self.layout.global_of_blocks(field, surface_dofs(secondary, space))
-            on_primary = self.layout.global_of_blocks(field, surface_dofs(primary, space))
-            for component in range(components):
-                key = (field, component)
-                coupling.secondary_dofs[key] = on_secondary[:, component]
-                coupling.primary_dofs[key] = on_primary[:, component]
-                prescribed = self.layout.gather(on_secondary[:, component], marks) > 0.0
-                coupling.prescribed[key] = prescribed
-                # A prescribed displacement is taken out of the coupling, a prescribed pressure is
-                # only not tied: its film still sees it.
-                coupling.operators[key] = mortar_operator(
-                    secondary,
-                    primary,
-                    segments,
-                    prescribed if components > 1 else None,
-                    pair.mortar,
-                )
-        return coupling
-
-    def _check_pairs(self) -> None:
+    def _couple(self, pairs: Sequence[ContactPair]) -> None:
+        """Put the pairs on the mesh and build the condensation and the films."""
+        self._couplings = [
+            Coupling(pair, self.unknowns, self.layout, self._constrained) for pair in pairs
+        ]
         for coupling in self._couplings:
-            name = coupling.pair.name
-            displacements = [k for k in coupling.operators if self.layout.block_sizes[k[0]] == 2]
-            if not displacements:
-                raise ValueError(f"pair {name}: there is no displacement to couple")
-            for key in displacements:
-                if not coupling.operators[key].kept.any():
-                    reason = (
-                        "is prescribed at all its nodes; swap secondary and primary"
-                        if coupling.prescribed[key].all()
-                        else "faces no primary edge within the search radius"
-                    )
-                    raise ValueError(f"pair {name}: the secondary surface {reason}")
-                idle = coupling.secondary.edges[coupling.operators[key].idle_edges]
-                if coupling.prescribed[key][idle].all(axis=1).any():
-                    raise ValueError(
-                        f"pair {name}: neighbouring nodes of the secondary surface are prescribed, "
-                        "so that nothing ties the edge between them; swap secondary and primary"
-                    )
-            n_pressures = len(coupling.operators) - len(displacements)
-            if coupling.pair.flow is not None and n_pressures != 1:
+            if coupling.aperture > 0.0 and self._time_step is None:
                 raise ValueError(
-                    f"pair {name} has a flow law, which needs one scalar field, the pore pressure; "
-                    f"there are {n_pressures}"
+                    f"pair {coupling.pair.name} has water in a gap of given aperture: the problem "
+                    "needs time_step"
                 )
-            if _aperture(coupling.pair) > 0.0 and self._time_step is None:
-                raise ValueError(
-                    f"pair {name} has water in a gap of given aperture: the problem needs time_step"
-                )
-
-    def _dependences(self) -> list[Dependence]:
-        dependences = []
-        for coupling in self._couplings:
-            for key, operator in coupling.operators.items():
-                is_pressure = self.layout.block_sizes[key[0]] == 1
-                rows = operator.kept & ~coupling.prescribed[key]
-                coefficients = scipy.sparse.hstack((-operator.C, operator.H)).tocsr()[rows]
-                open_film = is_pressure and _aperture(coupling.pair) > 0.0
-                dependences.append(
-                    Dependence(
-                        coupling.secondary_dofs[key][rows],
-                        np.concatenate((coupling.secondary_dofs[key], coupling.primary_dofs[key])),
-                        coefficients,
-                        np.full(int(rows.sum()), not open_film),
-                    )
-                )
-        return dependences
-
-    def _assemble_film(self) -> scipy.sparse.csr_matrix:
-        """Flow in all gaps of given aperture per unit of the touched condensed unknowns."""
+        dependences = [d for coupling in self._couplings for d in coupling.dependences()]
+        self.condensation = Condensation(dependences, self.layout)
         unknowns = self.condensation.unknowns
-        film = scipy.sparse.csr_matrix((unknowns.size, unknowns.size))
+        self._film = scipy.sparse.csr_matrix((unknowns.size, unknowns.size))
         for coupling in self._couplings:
-            flow, aperture = coupling.pair.flow, _aperture(coupling.pair)
-            if flow is None or aperture == 0.0:
-                continue
-            for key, operator in coupling.operators.items():
-                if self.layout.block_sizes[key[0]] != 1:
-                    continue
-                conductance = film_conductance(
-                    flow,
-                    aperture,
-                    coupling.secondary,
-                    coupling.segments,
-                    operator,
-                    coupling.prescribed[key],
-                ).tocoo()
-                dofs = np.concatenate((coupling.secondary_dofs[key], coupling.primary_dofs[key]))
-                at = np.searchsorted(unknowns, dofs)
-                film = film + scipy.sparse.csr_matrix(
-                    (conductance.data, (at[conductance.row], at[conductance.col])), film.shape
-                )
-        return film.tocsr()
+            self._film = self._film + coupling.film(unknowns)
 
     # --- the equations, as Newton's method sees them ------------------------------------------
 
@@ -565,8 +391,3 @@ class ContactProblem:
             if u is unknown:
                 return field
         raise ValueError(f"{unknown.name} is none of the unknowns {', '.join(self.field_names)}")
-
-
-def _aperture(pair: ContactPair) -> float:
-    """Aperture of a pair's film [m]; zero for a tied pair without a given one."""
-    return 0.0 if pair.flow is None or pair.flow.aperture is None else pair.flow.aperture

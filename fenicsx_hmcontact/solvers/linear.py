@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from petsc4py import PETSc
@@ -24,6 +25,9 @@ DEFAULT_OPTIONS = {
 
 NULL_PIVOTS = 28
 """MUMPS' INFOG entry that counts them."""
+
+MAX_GROWTH = 1e12
+"""Largest solution of a scaled system, relative to its right-hand side, that has correct digits."""
 
 _numbers = itertools.count()
 
@@ -63,15 +67,12 @@ class LinearSolver:
         self.n_factorisations = 0
         self._x, self._b = self.matrix.createVecs()
         self.ksp = PETSc.KSP().create(comm)
-        prefix = f"hmcontact_{next(_numbers)}_"
-        self.ksp.setOptionsPrefix(prefix)
-        database = PETSc.Options()
-        options = DEFAULT_OPTIONS if options is None else options
-        for name, value in options.items():
-            database[prefix + name] = value
+        self._prefix = f"hmcontact_{next(_numbers)}_"
+        self.ksp.setOptionsPrefix(self._prefix)
         self.ksp.setOperators(self.matrix)
-        # They stay in the database, under this solver's own prefix: MUMPS reads its options late.
-        self.ksp.setFromOptions()
+        self._options = dict(DEFAULT_OPTIONS if options is None else options)
+        with self._options_in_database():
+            self.ksp.setFromOptions()
 
     def set_values(self, values: npt.NDArray[np.float64]) -> None:
         """Set the entries, in the order of the pattern, and scale the matrix. Collective."""
@@ -94,10 +95,13 @@ class LinearSolver:
             Owned part of the solution; shape (n_owned,).
 
         Raises:
-            RuntimeError: If the solver fails, with PETSc's reason.
+            RuntimeError: If the system is singular or the solver fails.
+            ValueError: If an option is none of the solver's.
         """
         self._b.array[:] = self.scale * b
         try:
+            if self._options:
+                self._set_up()
             self.ksp.solve(self._b, self._x)
         except PETSc.Error as error:
             raise RuntimeError(f"the linear solver cannot be used here: {error}") from error
@@ -108,9 +112,37 @@ class LinearSolver:
                 f"the linear system is singular, {singular} motions or pressures are free: a body "
                 "has no support, or a pore pressure is prescribed nowhere and not stored"
             )
-        if reason < 0 or not np.isfinite(self._x.norm()):
+        size = self._x.norm()
+        if reason < 0 or not np.isfinite(size):
             raise RuntimeError(f"the linear system could not be solved (PETSc reason {reason})")
+        if size > MAX_GROWTH * self._b.norm() > 0.0:
+            raise RuntimeError(
+                "the linear system is singular to working precision: a body has no support, or a "
+                "pore pressure is prescribed nowhere and not stored"
+            )
         return self.scale * self._x.array
+
+    @contextmanager
+    def _options_in_database(self) -> Iterator[None]:
+        database = PETSc.Options(self._prefix)
+        for name, value in self._options.items():
+            database[name] = value
+        try:
+            yield
+        finally:
+            for name in self._options:
+                database.delValue(name)
+
+    def _set_up(self) -> None:
+        """Set the solver up, once: a factorisation reads its own options only now."""
+        with self._options_in_database():
+            self.ksp.setFromOptions()
+            self.ksp.setUp()
+            database = PETSc.Options()
+            unused = [name for name in self._options if not database.used(self._prefix + name)]
+        self._options = {}
+        if unused:
+            raise ValueError(f"the linear solver has no option {', '.join(unused)}")
 
     def _null_pivots(self) -> int:
         """Number of pivots that MUMPS found to be zero."""

@@ -169,7 +169,9 @@ def test_ids_of_no_cell_are_refused(mesh, Q):
 
 
 def test_quadrature_degree_is_refused():
-    with pytest.raises(ValueError, match=r"node cells take no metadata such as .*quadrature_degree"):
+    with pytest.raises(
+        ValueError, match=r"node cells take no metadata such as .*quadrature_degree"
+    ):
         hm.dc(degree=2)
     assert hm.dc(3)(degree=None).metadata() == hm.dc.metadata()
 

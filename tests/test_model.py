@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Compiling a model once, and using it on another mesh."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 import ufl
@@ -123,3 +126,23 @@ def test_refuses_another_number_of_unknowns(comm):
     problem = scene.problem(scene.residual())
     with pytest.raises(ValueError, match="the model has 2 unknowns, 1 were given"):
         hm.ContactProblem(problem.model, scene.u)
+
+
+def test_a_solved_problem_leaves_nothing_behind(comm):
+    """A kept mesh keeps its communicators, of which MPI has about two thousand."""
+
+    def solve():
+        scene = Scene(comm, (4, 6), 0.2)
+        problem = hm.ContactProblem(
+            scene.residual(),
+            [scene.u, scene.p],
+            bcs=scene.bcs,
+            pairs=scene.pairs,
+            time_step=scene.dt,
+        )
+        problem.solve()
+        return weakref.ref(scene.domain.mesh)
+
+    mesh = solve()
+    gc.collect()
+    assert mesh() is None

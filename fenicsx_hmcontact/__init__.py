@@ -14,8 +14,14 @@ from . import _compat
 
 _compat.check_dolfinx()
 
-from .contact import ContactPair, MortarOptions, Tied  # noqa: E402
-from .coupling import InterfaceState  # noqa: E402
+from .contact import (  # noqa: E402
+    ContactPair,
+    CoulombFriction,
+    Frictionless,
+    InterfaceState,
+    MortarOptions,
+    Tied,
+)
 from .domain import Domain, vertex_ghost_partitioner  # noqa: E402
 from .gap_flow import GapFlow  # noqa: E402
 from .materials import LinearElastic  # noqa: E402
@@ -35,7 +41,9 @@ __all__ = [
     "ContactPair",
     "ContactProblem",
     "ConvergenceError",
+    "CoulombFriction",
     "Domain",
+    "Frictionless",
     "GapFlow",
     "InterfaceState",
     "LinearElastic",

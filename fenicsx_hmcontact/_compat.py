@@ -111,6 +111,9 @@ def bind_form(
         successor: What takes the place of a function, constant, space or tags of the form it was
             compiled from.
         entity_maps: Maps to other meshes that functions of the form live on.
+
+    Raises:
+        ValueError: If terms of one kind use several tags, or tags of another mesh.
     """
     form, ufcx = compiled.ufl_form, compiled.ufcx_form
     (data,) = form.subdomain_data().values()
@@ -121,8 +124,13 @@ def bind_form(
         ids = [
             ufcx.form_integral_ids[k] for k in range(offsets[kind.value], offsets[kind.value + 1])
         ]
-        given = next((tag for tag in tags if tag is not None), None)
-        subdomains[kind] = get_integration_domains(kind, successor(given), ids)
+        given = [tag for tag in tags if tag is not None]
+        if any(tag is not given[0] for tag in given):
+            raise ValueError(f"{name} terms use several tags; put their ids into one MeshTags")
+        new = successor(given[0]) if given else None
+        if hasattr(new, "topology"):
+            check_tags(new, mesh)
+        subdomains[kind] = get_integration_domains(kind, new, ids)
     return fem.create_form(
         compiled,
         [successor(argument.ufl_function_space()) for argument in form.arguments()],
@@ -132,6 +140,16 @@ def bind_form(
         {c: successor(c) for c in form.constants()},
         entity_maps,
     )
+
+
+def check_tags(tags: Any, mesh: Mesh) -> None:
+    """Refuse tags of another mesh.
+
+    Raises:
+        ValueError: If they are.
+    """
+    if tags._cpp_object.topology is not mesh.topology._cpp_object:
+        raise ValueError("tags belong to another mesh than the terms they restrict")
 
 
 def block_pairs(form: fem.Form) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:

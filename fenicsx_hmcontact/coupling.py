@@ -14,6 +14,7 @@ from dolfinx import fem
 from .contact import (
     ContactPair,
     Dependence,
+    InterfaceState,
     MortarOperator,
     Segments,
     Surface,
@@ -26,26 +27,8 @@ from .contact import (
 from .gap_flow import film_conductance
 from .solvers import FieldLayout
 
-
-@dataclass(frozen=True)
-class InterfaceState:
-    """What acts between the surfaces of a pair, at the nodes of the secondary surface.
-
-    Attributes:
-        points: Coordinates of the nodes [m]; shape (n, 2).
-        normals: Unit normals, from primary to secondary; shape (n, 2).
-        pressure: Effective contact pressure [Pa], compression positive; nan at dropped nodes; (n,).
-        shear: Shear traction on the secondary surface along the tangent (n_y, -n_x) [Pa]; (n,).
-        pore_pressure: Mean pore pressure of both faces [Pa], zero without water; (n,).
-        jump: Pore pressure of the secondary less that of the primary face [Pa]; (n,).
-    """
-
-    points: npt.NDArray[np.float64]
-    normals: npt.NDArray[np.float64]
-    pressure: npt.NDArray[np.float64]
-    shear: npt.NDArray[np.float64]
-    pore_pressure: npt.NDArray[np.float64]
-    jump: npt.NDArray[np.float64]
+DOUBLE = 1e-6
+"""A secondary node may be covered more than once by this part, by round-off."""
 
 
 @dataclass(frozen=True)
@@ -119,12 +102,18 @@ class Coupling:
         ]
         self._check()
 
+    def numbers(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Global numbers of the unknowns on the secondary and on the primary surface."""
+        secondary = np.concatenate([part.secondary for part in self._components])
+        primary = np.concatenate([part.primary for part in self._components])
+        return secondary, primary
+
     def dependences(self) -> list[Dependence]:
         """How the secondary unknowns depend on others (Eq. 64)."""
         return [
             Dependence(
-                part.secondary[part.tied],
                 np.concatenate((part.secondary, part.primary)),
+                np.flatnonzero(part.tied),
                 scipy.sparse.hstack((-part.operator.C, part.operator.H)).tocsr()[part.tied],
                 np.full(int(part.tied.sum()), not (part.is_pressure and self.aperture > 0.0)),
             )
@@ -164,7 +153,7 @@ class Coupling:
 
         Args:
             current: Local array of the unknowns.
-            residual: Local array of the residual, as assembled and not condensed.
+            residual: Local array of the residual with what surfaces pass on to each other.
         """
         surface: Surface = self._secondary
         normals = surface.normals
@@ -243,6 +232,19 @@ class Coupling:
                 raise ValueError(
                     f"pair {name}: neighbouring nodes of the secondary surface are prescribed, "
                     "so that nothing ties the edge between them; swap secondary and primary"
+                )
+        for part in self._components:
+            twice = int(np.argmax(part.operator.coverage))
+            if part.operator.coverage[twice] > 1.0 + DOUBLE:
+                x, y = self._secondary.points[twice]
+                raise ValueError(
+                    f"pair {name}: several parts of the primary surface lie behind each other at "
+                    f"({x:.6g}, {y:.6g}); lower the search radius, or leave the farther part out"
+                )
+            if part.is_pressure and self.aperture == 0.0 and not part.tied.any():
+                raise ValueError(
+                    f"pair {name}: the pore pressure is prescribed on the whole secondary surface, "
+                    "so that nothing ties it; swap secondary and primary"
                 )
         n_pressures = len(self._components) - len(displacements)
         if self.pair.flow is not None and n_pressures != 1:

@@ -9,10 +9,17 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from ufl.algorithms import expand_derivatives
 
 from . import _compat
-from .smoothing import PointForm, check_smoothable, point_forms, split_by_measure
+from .smoothing import (
+    PointForm,
+    check_smoothable,
+    point_forms,
+    split_by_measure,
+    unite_subdomains,
+)
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ def compile_model(
     Raises:
         ValueError: If the residual does not fit the unknowns, or a term cannot be smoothed.
     """
-    forms = _blocks(residual, len(unknowns))
+    forms = [unite_subdomains(form) for form in _blocks(residual, unknowns)]
     for form in forms:
         check_smoothable(form)
     trials = [ufl.TrialFunction(u.function_space) for u in unknowns]
@@ -126,8 +133,16 @@ def compile_model(
     )
 
 
-def _blocks(residual: ufl.Form | Sequence[ufl.Form], n_fields: int) -> list[ufl.Form]:
-    """One residual form a field."""
+def integration_mesh(unknowns: Sequence[fem.Function]) -> Mesh:
+    """Mesh that a model is integrated over: that of the unknown of highest dimension."""
+    return max((u.function_space.mesh for u in unknowns), key=lambda mesh: mesh.topology.dim)
+
+
+def _blocks(
+    residual: ufl.Form | Sequence[ufl.Form], unknowns: Sequence[fem.Function]
+) -> list[ufl.Form]:
+    """One residual form a field, each with one test function of the field's space."""
+    n_fields = len(unknowns)
     if isinstance(residual, ufl.Form):
         blocks = ufl.extract_blocks(residual) if n_fields > 1 else [residual]
     else:
@@ -137,7 +152,25 @@ def _blocks(residual: ufl.Form | Sequence[ufl.Form], n_fields: int) -> list[ufl.
             f"{n_fields} unknowns need a residual with {n_fields} test functions: take them from a "
             "ufl.MixedFunctionSpace of the unknowns' spaces, or give one form an unknown"
         )
-    for i, block in enumerate(blocks):
+    mesh = integration_mesh(unknowns)._cpp_object
+    for block, u in zip(blocks, unknowns, strict=True):
         if not isinstance(block, ufl.Form):
-            raise ValueError(f"the residual has no equation for unknown {i}")
+            raise ValueError(f"the residual has no equation for {u.name}")
+        arguments = block.arguments()
+        if len(arguments) != 1:
+            raise ValueError(
+                f"the equation of {u.name} has {len(arguments)} arguments: a residual has a test "
+                "function and no trial function, its unknown is a function"
+            )
+        if arguments[0].ufl_function_space() != u.function_space:
+            raise ValueError(
+                f"the test function of the equation of {u.name} is of another space: give the "
+                "unknowns in the order of the residual's test functions"
+            )
+        for integral in block.integrals():
+            if integral.ufl_domain().ufl_cargo() is not mesh:
+                raise ValueError(
+                    f"a term in the equation of {u.name} is integrated over another mesh than the "
+                    "unknowns live on"
+                )
     return list(blocks)

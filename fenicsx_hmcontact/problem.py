@@ -13,9 +13,10 @@ import ufl
 from dolfinx import fem
 
 from . import _compat
-from .contact import Condensation, ContactPair
-from .coupling import Coupling, InterfaceState
-from .model import CompiledBlock, CompiledModel, compile_model
+from .contact import Condensation, ContactPair, InterfaceState, Tied
+from .coupling import Coupling
+from .model import CompiledBlock, CompiledModel, compile_model, integration_mesh
+from .sliding import SlidingCoupling
 from .smoothing import SmoothedTerm, create_node_cells
 from .solvers import (
     FieldLayout,
@@ -41,7 +42,8 @@ class ContactProblem:
         unknowns: The function, or the functions in the order of the residual's test functions.
         bcs: Dirichlet conditions. Which unknowns they prescribe must not change; values may.
         pairs: Contact pairs.
-        time_step: Length of the step [s]; needed where water flows through a gap of given aperture.
+        time_step: Length of the step [s], the constant that stands in the residual; needed where
+            water flows through a gap of given aperture.
         newton: When Newton's method stops.
         petsc_options: Options of the linear solver, without prefix; MUMPS where None.
         entity_maps: Maps to submeshes that functions in the residual live on.
@@ -68,7 +70,7 @@ class ContactProblem:
         *,
         bcs: Sequence[fem.DirichletBC] = (),
         pairs: Sequence[ContactPair] = (),
-        time_step: fem.Constant | float | None = None,
+        time_step: fem.Constant | None = None,
         newton: NewtonOptions = NewtonOptions(),
         petsc_options: Mapping[str, Any] | None = None,
         entity_maps: Sequence[Any] | None = None,
@@ -77,12 +79,21 @@ class ContactProblem:
         self.unknowns = [unknowns] if isinstance(unknowns, fem.Function) else list(unknowns)
         self.bcs = list(bcs)
         self.newton = newton
-        self.comm = self.unknowns[0].function_space.mesh.comm
-        self.field_names = [u.name for u in self.unknowns]
+        self._mesh = integration_mesh(self.unknowns)
+        self.comm = self._mesh.comm
+        names = [u.name for u in self.unknowns]
+        repeated = len(set(names)) < len(names)
+        self.field_names = [f"{n} {i}" if repeated else n for i, n in enumerate(names)]
         self.layout = FieldLayout([u.function_space for u in self.unknowns])
+        if time_step is not None and not isinstance(time_step, fem.Constant):
+            raise ValueError("time_step must be the fem.Constant that stands in the residual")
         self._time_step = time_step
         self._petsc_options = petsc_options
+        self._points = self._mesh.geometry.x.copy()
+        self._largest_force = 0.0
         if isinstance(residual, CompiledModel):
+            if entity_maps is not None:
+                raise ValueError("a compiled model keeps the entity_maps it was compiled with")
             self.model = residual
         else:
             self.model = compile_model(residual, self.unknowns, entity_maps)
@@ -94,6 +105,8 @@ class ContactProblem:
         self._raw = np.zeros(self.layout.n_local)
         self._condensed = np.zeros(self.layout.n_local)
         self._linear: LinearSolver | None = None
+        self._pattern: tuple[npt.NDArray[np.int32], ...] = ()
+        self._moved = False
         self._tangent_inputs: list[npt.NDArray[np.float64]] | None = None
 
     # --- what a user calls ------------------------------------------------------------------
@@ -105,18 +118,44 @@ class ContactProblem:
             Iterations and residuals.
 
         Raises:
-            ConvergenceError: If Newton's method does not converge.
-            RuntimeError: If a linear system cannot be solved.
+            ConvergenceError: If Newton's method does not converge. The unknowns are then as before.
+            RuntimeError: If a linear system cannot be solved, or the mesh has moved.
         """
-        return solve_newton(self, self.newton)
+        moved = not np.array_equal(self._points, self._mesh.geometry.x)
+        if self.comm.allreduce(moved):
+            raise RuntimeError(
+                "the mesh has moved since the problem was made: make a new one, "
+                "ContactProblem(problem.model, ...)"
+            )
+        start = []
+        for u in self.unknowns:
+            u.x.scatter_forward()
+            start.append(u.x.array.copy())
+        self._moved = False
+        for coupling in self._sliding:
+            coupling.reset()
+        try:
+            result = solve_newton(self, self.newton)
+        except Exception:
+            for u, array in zip(self.unknowns, start, strict=True):
+                u.x.array[:] = array
+            raise
+        for coupling in self._sliding:
+            coupling.commit(self._current())
+        return result
+
+    @property
+    def settled(self) -> bool:
+        """Whether the last residual was that of the same contact sets as the one before."""
+        return all(coupling.settled for coupling in self._sliding)
 
     @property
     def n_unknowns(self) -> dict[str, int]:
         """Number of unknowns of each field, on all ranks."""
+        maps = [u.function_space.dofmap for u in self.unknowns]
         return {
-            u.name: u.function_space.dofmap.index_map.size_global
-            * u.function_space.dofmap.index_map_bs
-            for u in self.unknowns
+            name: dofmap.index_map.size_global * dofmap.index_map_bs
+            for name, dofmap in zip(self.field_names, maps, strict=True)
         }
 
     @property
@@ -151,15 +190,16 @@ class ContactProblem:
         """
         for coupling in self._couplings:
             if coupling.pair is pair:
-                current = np.concatenate([u.x.array for u in self.unknowns])
-                return coupling.state(current, self._raw)
+                residual = self._raw.copy()
+                self.condensation.transmit(residual)
+                return coupling.state(self._current(), residual)
         raise ValueError(f"pair {pair.name} is none of this problem's")
 
     # --- building ---------------------------------------------------------------------------
 
     def _bind(self, model: CompiledModel, successor: Callable[[Any], Any]) -> None:
         """Give the compiled forms the mesh and data of the unknowns."""
-        mesh = self.unknowns[0].function_space.mesh
+        mesh = self._mesh
         node_cells = self.node_cells = create_node_cells(mesh) if model.is_smoothed else None
         n = len(self.unknowns)
         spaces = [u.function_space for u in self.unknowns]
@@ -192,41 +232,54 @@ class ContactProblem:
         views = self.layout.views(marks)
         self._bc_fields = []
         for bc in self.bcs:
-            field = next(
-                (
-                    f
-                    for f, u in enumerate(self.unknowns)
-                    if u.function_space._cpp_object.contains(bc.function_space)
-                ),
-                None,
-            )
-            if field is None:
+            fields = [
+                f
+                for f, u in enumerate(self.unknowns)
+                if u.function_space._cpp_object.contains(bc.function_space)
+            ]
+            if not fields:
                 raise ValueError(
                     "a Dirichlet condition prescribes none of the fields "
                     + ", ".join(self.field_names)
                 )
-            self._bc_fields.append(field)
-            views[field][bc.dof_indices()[0]] = 1.0
+            self._bc_fields.append(fields)
+            for field in fields:
+                views[field][bc.dof_indices()[0]] = 1.0
         self.layout.add_ghosts_to_owners(marks)
         return marks > 0.0
 
     def _couple(self, pairs: Sequence[ContactPair]) -> None:
         """Put the pairs on the mesh and build the condensation and the films."""
-        self._couplings = [
-            Coupling(pair, self.unknowns, self.layout, self._constrained) for pair in pairs
+        arguments = self.unknowns, self.layout, self._constrained
+        self._sliding = [
+            SlidingCoupling(pair, *arguments)
+            for pair in pairs
+            if not isinstance(pair.friction, Tied)
         ]
-        for coupling in self._couplings:
+        tied = [Coupling(pair, *arguments) for pair in pairs if isinstance(pair.friction, Tied)]
+        self._couplings: list[Coupling | SlidingCoupling] = [*tied, *self._sliding]
+        for coupling in tied:
             if coupling.aperture > 0.0 and self._time_step is None:
                 raise ValueError(
                     f"pair {coupling.pair.name} has water in a gap of given aperture: the problem "
                     "needs time_step"
                 )
-        dependences = [d for coupling in self._couplings for d in coupling.dependences()]
-        self.condensation = Condensation(dependences, self.layout)
+        numbers = [coupling.numbers() for coupling in self._couplings]
+        none = np.zeros(0, np.int64)
+        self.condensation = Condensation(
+            np.concatenate([none, *(n for pair in numbers for n in pair)]),
+            np.concatenate([none, *(secondary for secondary, _ in numbers)]),
+            self.layout,
+        )
+        self._update_contact()
         unknowns = self.condensation.unknowns
         self._film = scipy.sparse.csr_matrix((unknowns.size, unknowns.size))
-        for coupling in self._couplings:
+        for coupling in tied:
             self._film = self._film + coupling.film(unknowns)
+
+    def _update_contact(self) -> None:
+        """Rebuild the transformation at the current state of the pairs."""
+        self.condensation.update([d for c in self._couplings for d in c.dependences()])
 
     # --- the equations, as Newton's method sees them ------------------------------------------
 
@@ -246,9 +299,19 @@ class ContactProblem:
             if not np.isfinite(total):
                 raise FloatingPointError(f"the residual of {name} is not a number")
         self._condensed[:] = self._raw
-        if self._couplings:
-            current = np.concatenate([u.x.array for u in self.unknowns])
-            self._condense(self._condensed, self.condensation.relative(current))
+        if not self._couplings:
+            return
+        current = self._current()
+        if self._sliding:
+            self._assemble_tangent()
+            for coupling in self._sliding:
+                coupling.update(current, self._raw, self._diagonal, self._moved)
+            self._update_contact()
+        condensation = self.condensation
+        added = condensation.offset
+        if self._film.nnz:
+            added = added + self._dt() * (self._film @ condensation.relative(current))
+        condensation.condense(self._condensed, added)
 
     def increment(self) -> npt.NDArray[np.float64]:
         """Assemble the tangent where it has changed, solve, and add the increment. Collective.
@@ -268,7 +331,8 @@ class ContactProblem:
             change = self._matrix.multiply(moved)
             self.layout.add_ghosts_to_owners(change)
             if self._couplings:
-                self._condense(change, self.condensation.gather(prescribed))
+                relative = self.condensation.gather(prescribed)
+                self.condensation.condense(change, self._added_matrix() @ relative)
             lifted += change
         owned = self.layout.owned
         b = np.where(self._free, -lifted[owned], prescribed[owned])
@@ -280,6 +344,7 @@ class ContactProblem:
             self.condensation.expand(full)
         for u, view in zip(self.unknowns, self.layout.views(full), strict=True):
             u.x.array[:] += view
+        self._moved = True
         return increment
 
     def scaled_residuals(self) -> list[float]:
@@ -292,34 +357,61 @@ class ContactProblem:
     def scaled_norms(self, increment: npt.NDArray[np.float64]) -> tuple[float, float]:
         """Norms of a scaled increment and of the scaled unknowns, free ones only. Collective."""
         assert self._linear is not None
-        current = np.concatenate([u.x.array for u in self.unknowns])[self.layout.owned]
+        current = self._current()[self.layout.owned]
         pair = np.array(
             [np.sum((x / self._linear.scale)[self._free] ** 2) for x in (increment, current)]
         )
         size, state = np.sqrt(self.comm.allreduce(pair))
-        return float(size), float(state)
+        # What supports carry, in the units of scaled residuals: a state may be all stress.
+        fields = self.layout.field_of_owned()
+        reactions = np.where(self._free, 0.0, self._condensed[self.layout.owned])
+        n = len(self.unknowns)
+        sums = np.array(
+            [
+                np.bincount(fields, np.where(self._free, self._linear.scale, 0.0), n),
+                np.bincount(fields, self._free.astype(float), n),
+                np.bincount(fields, reactions**2, n),
+            ]
+        )
+        scales, counts, squares = self.comm.allreduce(sums)
+        forces = np.sqrt(squares) * scales / np.maximum(counts, 1.0)
+        self._largest_force = max(self._largest_force, float(forces.max()))
+        return float(size), max(float(state), self._largest_force)
 
-    def _condense(self, array: npt.NDArray[np.float64], relative: npt.NDArray[np.float64]) -> None:
-        """Turn a local residual into T^T r and add the film's flow at condensed unknowns."""
-        self.condensation.condense(array)
+    def _added_matrix(self) -> scipy.sparse.csr_array:
+        """What contact and films add to the condensed matrix at the touched unknowns."""
         if self._film.nnz:
-            positions, which = self.condensation.local
-            array[positions] += self._dt() * (self._film @ relative)[which]
+            return self.condensation.matrix + self._dt() * self._film
+        return self.condensation.matrix
+
+    def _current(self) -> npt.NDArray[np.float64]:
+        """Unknowns as a local array."""
+        return np.concatenate([u.x.array for u in self.unknowns])
 
     def _dt(self) -> float:
-        step: Any = getattr(self._time_step, "value", self._time_step)
-        return float(step)
+        assert self._time_step is not None
+        step = float(self._time_step.value)
+        if not step > 0.0:
+            raise ValueError(f"time_step is {step}; it must be positive")
+        return step
 
     def _dirichlet_increment(self) -> npt.NDArray[np.float64]:
         """What Dirichlet conditions still ask for; local array, zero at other unknowns."""
         result = np.zeros(self.layout.n_local)
         views = self.layout.views(result)
-        for field, bc in zip(self._bc_fields, self.bcs, strict=True):
-            bc.set(views[field], self.unknowns[field].x.array)
+        for fields, bc in zip(self._bc_fields, self.bcs, strict=True):
+            for field in fields:
+                bc.set(views[field], self.unknowns[field].x.array)
+        if self._couplings:
+            # What is closed has no relative value, whatever the state the step starts from.
+            relative = self.condensation.relative(self._current())
+            positions, which = self.condensation.local
+            closed = self.condensation.closed[which]
+            result[positions[closed]] = -relative[which[closed]]
         return result
 
-    def _update_tangent(self) -> None:
-        """Assemble and factorise, unless nothing the tangent depends on has changed."""
+    def _assemble_tangent(self) -> bool:
+        """Assemble the tangent, unless nothing it depends on has changed; say whether it has."""
         inputs = [
             np.array(f.x.array if isinstance(f, fem.Function) else f.value, float).ravel()
             for f in self._tangent_coefficients
@@ -329,35 +421,47 @@ class ContactProblem:
         same = self._tangent_inputs is not None and all(
             np.array_equal(a, b) for a, b in zip(inputs, self._tangent_inputs, strict=True)
         )
-        if self.comm.allreduce(not same):
+        changed = bool(self.comm.allreduce(not same))
+        if changed:
             self._tangent_inputs = inputs
-            if self._linear is None:
-                self._build_linear_solver()
             self._matrix.assemble()
+            if self._sliding:
+                self._diagonal = self._matrix.diagonal()
+                self.layout.add_ghosts_to_owners(self._diagonal)
+        return changed
+
+    def _update_tangent(self) -> None:
+        """Assemble and factorise, unless nothing the matrix depends on has changed."""
+        changed = self._assemble_tangent()
+        if changed or self._sliding or self._linear is None:
+            if self._sliding or self._linear is None:
+                self._lay_out()
             self._set_condensed_values()
             assert self._linear is not None
             self._linear.set_values(self._matrix.values)
 
-    def _build_linear_solver(self) -> None:
+    def _lay_out(self) -> None:
         """Lay out the condensed matrix: entries of K, of condensation, of films and identity."""
         layout, condensation = self.layout, self.condensation
         touched = condensation.gather(self._constrained.astype(float)) > 0.0
         fixed = touched | condensation.closed
         rows, columns = self._matrix.entries()
-        source, factor, extra_rows, extra_columns = condensation.matrix_entries(
-            rows, columns, self._constrained, fixed
+        slots = condensation.slots
+        involved = np.flatnonzero((slots[rows] >= 0) | (slots[columns] >= 0))
+        factor, source, extra_rows, extra_columns = condensation.matrix_entries(
+            rows[involved], columns[involved], self._constrained, fixed
         )
-        keep = ~(self._constrained | condensation.secondary_mask())
+        keep = ~(self._constrained | (slots >= 0))
         dropped = ~(keep[rows] & keep[columns])
         rows, columns = layout.global_index[rows], layout.global_index[columns]
         rows[dropped] = -1
         columns[dropped] = -1
 
-        film = self._film.tocoo()
-        free_entry = ~(fixed[film.row] | fixed[film.col])
-        free_entry &= layout.owns(condensation.unknowns[film.row])
-        film_rows = condensation.unknowns[film.row[free_entry]]
-        film_columns = condensation.unknowns[film.col[free_entry]]
+        added = self._added_matrix().tocoo()
+        free_entry = ~(fixed[added.row] | fixed[added.col])
+        free_entry &= layout.owns(condensation.unknowns[added.row])
+        added_rows = condensation.unknowns[added.row[free_entry]]
+        added_columns = condensation.unknowns[added.col[free_entry]]
 
         self._free = ~self._constrained[layout.owned]
         closed = condensation.unknowns[condensation.closed]
@@ -365,25 +469,32 @@ class ContactProblem:
         self._free[closed - layout.first] = False
         identity = layout.first + np.flatnonzero(~self._free)
 
-        self._extra = (source, factor, film.data[free_entry], identity.size)
-        self._matrix.reserve(source.size + film_rows.size + identity.size)
-        self._linear = LinearSolver(
-            self.comm,
-            layout.owned.size,
-            np.concatenate((rows, extra_rows, film_rows, identity)).astype(np.int32),
-            np.concatenate((columns, extra_columns, film_columns, identity)).astype(np.int32),
-            self._petsc_options,
+        self._extra = (involved[source], factor, free_entry, identity.size)
+        extra = (
+            np.concatenate((extra_rows, added_rows, identity)).astype(np.int32),
+            np.concatenate((extra_columns, added_columns, identity)).astype(np.int32),
         )
+        same = self._linear is not None and all(map(np.array_equal, extra, self._pattern))
+        if self.comm.allreduce(not same):
+            self._pattern = extra
+            self._matrix.reserve(extra[0].size)
+            self._linear = LinearSolver(
+                self.comm,
+                layout.owned.size,
+                np.concatenate((rows, extra[0])).astype(np.int32),
+                np.concatenate((columns, extra[1])).astype(np.int32),
+                self._petsc_options,
+            )
 
     def _set_condensed_values(self) -> None:
-        source, factor, film, n_identity = self._extra
+        source, factor, added, n_identity = self._extra
+        added = self._added_matrix().tocoo().data[added]
         first = self._matrix.n_entries
         values = self._matrix.values
         values[first : first + source.size] = factor * values[source]
         first += source.size
-        if film.size:
-            values[first : first + film.size] = self._dt() * film
-        first += film.size
+        values[first : first + added.size] = added
+        first += added.size
         values[first : first + n_identity] = 1.0
 
     def _field(self, unknown: fem.Function) -> int:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Which parts of the edges of one surface face which edge of another."""
+"""Which parts of the edges of one surface face which edge of another, and Gauss points on them."""
+
+from typing import Any
 
 import numba
 import numpy as np
@@ -8,9 +10,31 @@ import numpy.typing as npt
 SHORTEST_SEGMENT = 1e-10
 """Segments shorter than this are skipped; local coordinate of the secondary edge, from -1 to 1."""
 
+GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
+
 
 @numba.njit(cache=True)
-def _cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
+def miss(corners: Any, node: int) -> Any:
+    """Coefficients of f(s) = (x(s) - y) x n(s) = c0 + c1 s + c2 s^2.
+
+    It vanishes where the normal n(s) of a point x(s) of a secondary edge meets a node y of a
+    primary edge.
+
+    Args:
+        corners: Nodes of the secondary edge, their normals and nodes of the primary edge, real or
+            complex; shape (3, 2, 2).
+        node: Which node of the primary edge.
+    """
+    (x1, x2), (n1, n2), y = corners[0], corners[1], corners[2, node]
+    half = 0.5 * (x2[0] - x1[0]), 0.5 * (x2[1] - x1[1])
+    away = 0.5 * (x1[0] + x2[0]) - y[0], 0.5 * (x1[1] + x2[1]) - y[1]
+    turn = 0.5 * (n2[0] - n1[0]), 0.5 * (n2[1] - n1[1])
+    normal = 0.5 * (n1[0] + n2[0]), 0.5 * (n1[1] + n2[1])
+    return _cross(away, normal), _cross(half, normal) + _cross(away, turn), _cross(half, turn)
+
+
+@numba.njit(cache=True)
+def _cross(a: Any, b: Any) -> Any:
     return a[0] * b[1] - a[1] * b[0]
 
 
@@ -53,16 +77,14 @@ def segments(
     number = 0
     c = np.empty((2, 3))
     breaks = np.empty(6)
+    corners = np.empty((3, 2, 2))
     for k in range(len(pairs)):
-        i, j = edges[pairs[k, 0], 0], edges[pairs[k, 0], 1]
-        half, turn = 0.5 * (x[j] - x[i]), 0.5 * (normals[j] - normals[i])
-        middle, normal = 0.5 * (x[i] + x[j]), 0.5 * (normals[i] + normals[j])
+        for end in range(2):
+            i, j = edges[pairs[k, 0], end], primary_edges[pairs[k, 1], end]
+            corners[0, end], corners[1, end], corners[2, end] = x[i], normals[i], y[j]
         breaks[4:] = -1.0, 1.0
         for end in range(2):
-            away = middle - y[primary_edges[pairs[k, 1], end]]
-            c[end, 0] = _cross(away, normal)
-            c[end, 1] = _cross(half, normal) + _cross(away, turn)
-            c[end, 2] = _cross(half, turn)
+            c[end] = miss(corners, end)
             breaks[2 * end], breaks[2 * end + 1] = _roots(c[end, 0], c[end, 1], c[end, 2])
         for b in range(4):
             if not -1.0 < breaks[b] < 1.0:
@@ -78,3 +100,34 @@ def segments(
                 ends[number] = low, high
                 number += 1
     return of_pairs[:number], ends[:number]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def gauss_points(corners: Any, ends: Any) -> Any:
+    """Place three Gauss points on every segment.
+
+    They are exact for products of shape functions where the normal does not turn.
+
+    Args:
+        corners: Nodes of the secondary edge [m], their normals and nodes of the primary edge [m],
+            real or complex; shape (l, 3, 2, 2).
+        ends: Ends of the segments on the secondary edge; shape (l, 2).
+
+    Returns:
+        Local coordinates on the secondary edge and on the primary edge, and weights [m]; shapes
+        (l, 3).
+    """
+    xi = np.empty((len(ends), 3), ends.dtype)
+    eta, weight = np.empty_like(xi), np.empty_like(xi)
+    for k in range(len(ends)):
+        first, second = miss(corners[k], 0), miss(corners[k], 1)
+        dx, dy = corners[k, 0, 1] - corners[k, 0, 0]
+        length = np.sqrt(dx * dx + dy * dy)
+        half = 0.5 * (ends[k, 1] - ends[k, 0])
+        for g in range(3):
+            s = 0.5 * (ends[k, 0] + ends[k, 1]) + half * GAUSS_POINTS[g]
+            f1 = first[0] + s * (first[1] + s * first[2])
+            f2 = second[0] + s * (second[1] + s * second[2])
+            xi[k, g], eta[k, g] = s, (f1 + f2) / (f1 - f2)
+            weight[k, g] = 0.5 * half * GAUSS_WEIGHTS[g] * length
+    return xi, eta, weight

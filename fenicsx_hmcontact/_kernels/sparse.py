@@ -47,21 +47,27 @@ def expand_entries(
     global_index: Any,
     constrained: Any,
     slots: Any,
-    indptr: Any,
-    targets: Any,
-    coefficients: Any,
+    row_offsets: Any,
+    row_targets: Any,
+    row_weights: Any,
+    column_offsets: Any,
+    column_targets: Any,
+    column_weights: Any,
 ) -> Any:
-    """Entries of T^T K T that stem from entries of K in a condensed row or column (Eq. 66).
+    """Entries of W^T K T that stem from entries of K in a condensed row or column (Eq. 66).
 
     Args:
         rows: Local row of each entry of K.
         columns: Local column of each entry.
         global_index: Global number of each local unknown.
         constrained: Whether a local unknown is prescribed; its rows and columns are left out.
-        slots: Row of T of each local unknown, -1 where T is the identity.
-        indptr: CSR offsets of the rows of T, columns of prescribed unknowns left out.
-        targets: Global columns of T.
-        coefficients: Entries of T.
+        slots: Row of W and T of each local unknown, -1 where they are the identity.
+        row_offsets: CSR offsets of the rows of W, columns of prescribed unknowns left out.
+        row_targets: Global columns of W.
+        row_weights: Entries of W.
+        column_offsets: The same of T.
+        column_targets: The same of T.
+        column_weights: The same of T.
 
     Returns:
         Entry of K that each new entry stems from, its factor, its global row and column.
@@ -71,8 +77,12 @@ def expand_entries(
         r, c = slots[rows[k]], slots[columns[k]]
         if r < 0 and c < 0:
             continue
-        n_r = indptr[r + 1] - indptr[r] if r >= 0 else int(not constrained[rows[k]])
-        n_c = indptr[c + 1] - indptr[c] if c >= 0 else int(not constrained[columns[k]])
+        n_r = row_offsets[r + 1] - row_offsets[r] if r >= 0 else int(not constrained[rows[k]])
+        n_c = (
+            column_offsets[c + 1] - column_offsets[c]
+            if c >= 0
+            else int(not constrained[columns[k]])
+        )
         count += n_r * n_c
     source = np.empty(count, np.int64)
     factor = np.empty(count)
@@ -85,13 +95,14 @@ def expand_entries(
             continue
         if (r < 0 and constrained[rows[k]]) or (c < 0 and constrained[columns[k]]):
             continue
-        for i in range(indptr[r] if r >= 0 else 0, indptr[r + 1] if r >= 0 else 1):
-            for j in range(indptr[c] if c >= 0 else 0, indptr[c + 1] if c >= 0 else 1):
+        first_i, last_i = (row_offsets[r], row_offsets[r + 1]) if r >= 0 else (0, 1)
+        first_j, last_j = (column_offsets[c], column_offsets[c + 1]) if c >= 0 else (0, 1)
+        for i in range(first_i, last_i):
+            for j in range(first_j, last_j):
                 source[at] = k
-                factor[at] = (coefficients[i] if r >= 0 else 1.0) * (
-                    coefficients[j] if c >= 0 else 1.0
-                )
-                new_rows[at] = targets[i] if r >= 0 else global_index[rows[k]]
-                new_columns[at] = targets[j] if c >= 0 else global_index[columns[k]]
+                weight = row_weights[i] if r >= 0 else 1.0
+                factor[at] = weight * (column_weights[j] if c >= 0 else 1.0)
+                new_rows[at] = row_targets[i] if r >= 0 else global_index[rows[k]]
+                new_columns[at] = column_targets[j] if c >= 0 else global_index[columns[k]]
                 at += 1
     return source, factor, new_rows, new_columns

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact surfaces, mortar coupling and condensation."""
 
+from .active_set import ContactStatus
 from .condensation import Condensation, Dependence
+from .friction import CoulombFriction, FrictionLaw, Frictionless, Tied, tangential_law
+from .interface import InterfaceState
+from .linearisation import geometry_derivatives
 from .mortar import (
     MortarOperator,
     MortarOptions,
@@ -11,14 +15,19 @@ from .mortar import (
     mortar_operator,
     mortar_segments,
 )
-from .pair import ContactPair, Tied
+from .pair import ContactPair
 from .surface import Surface, gather_surface, surface_dofs
 from .trace import surface_values
 
 __all__ = [
     "Condensation",
     "ContactPair",
+    "ContactStatus",
+    "CoulombFriction",
     "Dependence",
+    "FrictionLaw",
+    "Frictionless",
+    "InterfaceState",
     "MortarOperator",
     "MortarOptions",
     "Segments",
@@ -27,8 +36,10 @@ __all__ = [
     "covered_mass",
     "covered_stiffness",
     "gather_surface",
+    "geometry_derivatives",
     "mortar_operator",
     "mortar_segments",
     "surface_dofs",
     "surface_values",
+    "tangential_law",
 ]

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Condensation: secondary unknowns as relative ones plus what the primary surface does (Eq. 64).
 
-With v all unknowns and a the condensed ones, v = a + X v, where the rows of X are those of H (and
-of -C next to dropped nodes) at secondary unknowns and zero elsewhere. Hence v = T a with
-T = (I - X)^-1: the matrix becomes T^T K T, the residual T^T r, and both keep their size (Eq. 66).
+With v all unknowns and a the condensed ones, v = B a + X v: the rows of X are those of H (and of -C
+next to dropped nodes) at secondary unknowns and zero elsewhere; B turns the relative displacements
+of a node, normal and tangential, into the axes, and is the identity elsewhere. Hence v = T a with
+T = (I - X)^-1 B, and the matrix becomes W^T K T, the residual W^T r, of the same size (Eq. 66). W
+is T, but for sliding nodes, whose tangential row holds the friction law (Eq. 69). Rows that hold a
+constraint on a itself take the place of equilibrium.
 """
 
 from __future__ import annotations
@@ -21,153 +24,212 @@ from .._kernels import sparse as kernels
 if TYPE_CHECKING:
     from ..solvers import FieldLayout
 
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
 MAX_CHAIN = 8
 """Longest chain of surfaces that are secondary in one pair and primary in the next."""
 
 
 @dataclass(frozen=True)
 class Dependence:
-    """Rows of X of one pair and one field component, replicated on all ranks.
+    """How the unknowns of one pair depend on each other, replicated on all ranks.
 
     Attributes:
-        secondary: Global numbers of the secondary unknowns that keep a relative unknown; (n,).
-        others: Global numbers of the unknowns they depend on, all of both surfaces; (m,).
-        coefficients: Entries of X; shape (n, m), sparse.
-        closed: Whether the relative unknown is zero (tied, closed gap); (n,).
+        unknowns: Global numbers of the unknowns of both surfaces; (m,).
+        secondary: Positions in ``unknowns`` of those with a relative unknown; (n,).
+        coefficients: Their rows of X; shape (n, m).
+        closed: Whether the relative unknown is zero and stays so (tied); (n,).
+        frame: Their part of B; shape (n, n). None for the identity.
+        test_frame: The same of the equations; as ``frame`` where None.
+        stiffness: Positive where the row constrains the relative unknown: stiffness * a = -value,
+            in the unit of the diagonal of K; zero where it is an equation; (n,). None for zero.
+        values: Residual of the constraint [unit of a], or what is added to the equation; (n,).
+        geometry: Derivative of the rows with respect to the unknowns through the geometry of
+            contact; shape (m, m). None where it does not move.
     """
 
-    secondary: npt.NDArray[np.int64]
-    others: npt.NDArray[np.int64]
-    coefficients: scipy.sparse.csr_matrix
-    closed: npt.NDArray[np.bool_]
+    unknowns: npt.NDArray[np.int64]
+    secondary: npt.NDArray[np.intp]
+    coefficients: scipy.sparse.csr_array
+    closed: Bool
+    frame: scipy.sparse.csr_array | None = None
+    test_frame: scipy.sparse.csr_array | None = None
+    stiffness: Float | None = None
+    values: Float | None = None
+    geometry: scipy.sparse.csr_array | None = None
 
 
 class Condensation:
-    """The transformation T of all pairs. Its data are the same on all ranks.
+    """The transformation of all pairs. Its data are the same on all ranks.
 
     Args:
-        dependences: Rows of X.
+        unknowns: Global numbers of all unknowns on contact surfaces.
+        secondary: Those of secondary surfaces.
         layout: Numbering of the unknowns.
 
     Attributes:
-        unknowns: Global numbers, ascending, of all unknowns that T touches; (n,).
-        transformation: T restricted to them; (n, n).
-        closed: Which of the condensed unknowns are zero; (n,).
+        unknowns: Global numbers, ascending, of all unknowns it touches; (n,).
         local: Positions in a local array of those of ``unknowns`` that this rank sees, and which
             they are.
-
-    Raises:
-        ValueError: If a node is secondary twice, or surfaces depend on each other in a circle.
+        closed: Which condensed unknowns are zero for good; (n,).
+        matrix: What the constraints and the moving geometry add to the condensed matrix; (n, n).
+        offset: What they add to the condensed residual; (n,).
     """
 
-    def __init__(self, dependences: Sequence[Dependence], layout: FieldLayout) -> None:
+    def __init__(
+        self,
+        unknowns: npt.NDArray[np.int64],
+        secondary: npt.NDArray[np.int64],
+        layout: FieldLayout,
+    ) -> None:
         self._layout = layout
-        parts = [part for d in dependences for part in (d.secondary, d.others)]
-        self.unknowns = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.int64)
+        self.unknowns = np.unique(unknowns)
         n = self.unknowns.size
-        rows, columns, entries = [], [], []
-        self.closed = np.zeros(n, bool)
-        secondary = np.zeros(n, np.int64)
-        for d in dependences:
-            s = np.searchsorted(self.unknowns, d.secondary)
-            o = np.searchsorted(self.unknowns, d.others)
-            secondary[s] += 1
-            self.closed[s] = d.closed
-            x = d.coefficients.tocoo()
-            rows.append(s[x.row])
-            columns.append(o[x.col])
-            entries.append(x.data)
-        if np.any(secondary > 1):
-            raise ValueError(
-                f"{int(np.sum(secondary > 1))} unknowns belong to the secondary surfaces of two "
-                "pairs; let one of the surfaces end before the other, or swap secondary and primary"
-            )
-        self.is_secondary = secondary > 0
-        self.dependence = scipy.sparse.csr_matrix(
-            (
-                (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns)))
-                if parts
-                else (n, n)
-            ),
-            shape=(n, n),
-        )
-        self.transformation = _inverse(self.dependence)
+        self._is_secondary = np.isin(self.unknowns, secondary)
         sees = np.searchsorted(self.unknowns, layout.global_index)
         found = sees < n
         found[found] = self.unknowns[sees[found]] == layout.global_index[found]
         self.local = (np.flatnonzero(found), sees[found])
+        self.update([])
 
-    def gather(self, array: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def update(self, dependences: Sequence[Dependence]) -> None:
+        """Build the transformation anew.
+
+        Raises:
+            ValueError: If a node is secondary twice, or surfaces depend on each other in a circle.
+        """
+        n = self.unknowns.size
+        shape = (n, n)
+        X, geometry = scipy.sparse.csr_array(shape), scipy.sparse.csr_array(shape)
+        B = Bt = scipy.sparse.csr_array(shape)
+        turned = np.zeros(n, np.int64)
+        self.closed = np.zeros(n, bool)
+        stiffness, self.offset = np.zeros(n), np.zeros(n)
+        for d in dependences:
+            at = np.searchsorted(self.unknowns, d.unknowns)
+            s = at[d.secondary]
+            turned[s] += 1
+            self.closed[s] |= d.closed
+            X = X + _placed(d.coefficients, s, at, shape)
+            frame = scipy.sparse.eye_array(s.size) if d.frame is None else d.frame
+            B = B + _placed(frame, s, s, shape)
+            Bt = Bt + _placed(frame if d.test_frame is None else d.test_frame, s, s, shape)
+            if d.stiffness is not None and d.values is not None:
+                stiffness[s] = d.stiffness
+                self.offset[s] = np.where(d.stiffness > 0.0, d.stiffness * d.values, d.values)
+            if d.geometry is not None:
+                geometry = geometry + _placed(d.geometry, at, at, shape)
+        if np.any(turned > 1):
+            raise ValueError(
+                f"{int(np.sum(turned > 1))} unknowns belong to the secondary surfaces of two "
+                "pairs; let one of the surfaces end before the other, or swap secondary and primary"
+            )
+        rest = scipy.sparse.diags_array((turned == 0).astype(float), format="csr")
+        self.dependence, self._frame = X, (B + rest).tocsr()
+        inverse = self._inverse = _inverse(X)
+        self.transformation = (inverse @ self._frame).tocsr()
+        self.constrained = stiffness > 0.0
+        # Entries of constrained rows stay, as zeros, so that the pattern does not change with them.
+        self.tests = (inverse @ (Bt + rest)).tocsr()
+        self.tests.data[self.constrained[self.tests.indices]] = 0.0
+        self.matrix = geometry @ self.transformation + scipy.sparse.diags_array(stiffness)
+        self.matrix = self.matrix.tocsr()
+
+    def gather(self, array: Float) -> Float:
         """Owners' values of the touched unknowns, the same on all ranks; shape (n,). Collective."""
         return self._layout.gather(self.unknowns, array)
 
-    def expand(self, array: npt.NDArray[np.float64]) -> None:
+    def expand(self, array: Float) -> None:
         """Turn condensed into original unknowns, v = T a, in a local array. Collective."""
         positions, which = self.local
         array[positions] = (self.transformation @ self.gather(array))[which]
 
-    def condense(self, array: npt.NDArray[np.float64]) -> None:
-        """Turn a residual r into T^T r in a local array. Collective."""
-        positions, which = self.local
-        array[positions] = (self.transformation.T @ self.gather(array))[which]
+    def condense(self, array: Float, added: Float) -> None:
+        """Turn a residual r into W^T r + added in a local array. Collective.
 
-    def relative(self, array: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Condensed unknowns a = v - X v of a local array v; shape (n,). Collective."""
+        Args:
+            array: Local array.
+            added: What is added at the touched unknowns; shape (n,).
+        """
+        positions, which = self.local
+        array[positions] = (self.tests.T @ self.gather(array) + added)[which]
+
+    def transmit(self, array: Float) -> None:
+        """Add to a residual what nodes receive as primary ones, in a local array. Collective."""
+        positions, which = self.local
+        array[positions] = (self._inverse.T @ self.gather(array))[which]
+
+    def relative(self, array: Float) -> Float:
+        """Relative unknowns B^-1 (v - X v) of a local array v; shape (n,). Collective.
+
+        B is orthogonal, so its inverse is its transpose.
+        """
         values = self.gather(array)
-        return values - self.dependence @ values
+        return self._frame.T @ (values - self.dependence @ values)
 
     def matrix_entries(
         self,
         rows: npt.NDArray[np.int32],
         columns: npt.NDArray[np.int32],
-        constrained: npt.NDArray[np.bool_],
-        fixed: npt.NDArray[np.bool_],
-    ) -> tuple[
-        npt.NDArray[np.int64],
-        npt.NDArray[np.float64],
-        npt.NDArray[np.int32],
-        npt.NDArray[np.int32],
-    ]:
-        """Entries of T^T K T that condensation adds to those of K away from secondary unknowns.
+        constrained: Bool,
+        fixed: Bool,
+    ) -> tuple[Float, npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """Entries of W^T K T that stem from entries of K in a secondary row or column.
 
         Args:
-            rows: Local row of each entry of K.
-            columns: Local column of each entry of K.
+            rows: Local row of each of these entries of K.
+            columns: Their local columns.
             constrained: Whether a local unknown is prescribed.
             fixed: Whether a touched unknown is prescribed or closed; shape (n,).
 
         Returns:
-            Entry of K that each new entry stems from, its factor, its global row and column.
+            Factor of each new entry, the entry of K that it stems from, its global row and column.
         """
-        slots = np.full(self._layout.n_local, -1, np.int32)
-        positions, which = self.local
-        secondary = self.is_secondary[which]
-        slots[positions[secondary]] = which[secondary]
-        free = self.transformation[:, ~fixed].tocsr()
-        involved = np.flatnonzero((slots[rows] >= 0) | (slots[columns] >= 0))
+        free = ~fixed
+        targets = self.unknowns[free].astype(np.int32)
+        tests, trials = (m[:, free].tocsr() for m in (self.tests, self.transformation))
         source, factor, new_rows, new_columns = kernels.expand_entries(
-            rows[involved],
-            columns[involved],
+            rows,
+            columns,
             self._layout.global_index,
             constrained,
-            slots,
-            free.indptr,
-            self.unknowns[~fixed][free.indices].astype(np.int32),
-            free.data,
+            self.slots,
+            tests.indptr,
+            targets[tests.indices],
+            tests.data,
+            trials.indptr,
+            targets[trials.indices],
+            trials.data,
         )
-        return involved[source], factor, new_rows, new_columns
+        return factor, source, new_rows, new_columns
 
-    def secondary_mask(self) -> npt.NDArray[np.bool_]:
-        """Which local unknowns are secondary; shape (n_local,)."""
-        mask = np.zeros(self._layout.n_local, bool)
+    @property
+    def slots(self) -> npt.NDArray[np.int32]:
+        """Row of T of each local secondary unknown, -1 elsewhere; shape (n_local,)."""
+        slots = np.full(self._layout.n_local, -1, np.int32)
         positions, which = self.local
-        mask[positions[self.is_secondary[which]]] = True
-        return mask
+        secondary = self._is_secondary[which]
+        slots[positions[secondary]] = which[secondary]
+        return slots
 
 
-def _inverse(dependence: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
+def _placed(
+    matrix: scipy.sparse.csr_array,
+    rows: npt.NDArray[np.intp],
+    columns: npt.NDArray[np.intp],
+    shape: tuple[int, int],
+) -> scipy.sparse.csr_array:
+    """Entries of a small matrix at their places in a larger one."""
+    entries = scipy.sparse.coo_array(matrix)
+    return scipy.sparse.csr_array(
+        (entries.data, (rows[entries.row], columns[entries.col])), shape=shape
+    )
+
+
+def _inverse(dependence: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
     """(I - X)^-1 of a nilpotent X, as the finite sum of its powers."""
-    result = scipy.sparse.identity(dependence.shape[0], format="csr")
+    result = scipy.sparse.eye_array(dependence.shape[0], format="csr")
     power = dependence
     for _ in range(MAX_CHAIN):
         if power.nnz == 0:

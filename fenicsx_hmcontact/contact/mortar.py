@@ -19,7 +19,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
 from .._kernels import mortar as kernels
-from .surface import Surface, cross
+from .surface import Surface
 
 Float = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
@@ -142,21 +142,26 @@ def mortar_segments(
         pairs,
     )
     edge, primary_edge = pairs[pair].T
-    # Three points are exact for products of shape functions where the normal does not turn.
-    points, weights = np.polynomial.legendre.leggauss(3)
-    half = np.diff(ends) / 2
-    xi = ends.mean(axis=1, keepdims=True) + half * points
-    weight = half * weights * secondary.lengths[edge, None] / 2
-    x = _shapes(xi) @ secondary.points[secondary.edges[edge]]
-    n = _shapes(xi) @ secondary.normals[secondary.edges[edge]]
-    y = primary.points[primary.edges[primary_edge]]
-    first, second = (cross(x - y[:, end, None], n) for end in range(2))
-    eta = (first + second) / (first - second)
-
-    distance = np.linalg.norm(x - _shapes(eta) @ y, axis=2)[:, 1]
+    corners = segment_corners(secondary, primary, edge, primary_edge)
+    xi, eta, weight = kernels.gauss_points(corners, ends)
+    x = np.einsum("lk,lka->la", _shapes(xi[:, 1]), corners[:, 0])
+    y = np.einsum("lk,lka->la", _shapes(eta[:, 1]), corners[:, 2])
+    distance = np.linalg.norm(x - y, axis=1)
     near = distance <= options.search_radius * longest
     edges = np.column_stack([edge, primary_edge])[near].repeat(3, axis=0).astype(np.int32)
     return Segments(*edges.T, *(values[near].ravel() for values in (xi, eta, weight)))
+
+
+def segment_corners(
+    secondary: Surface,
+    primary: Surface,
+    edge: npt.NDArray[np.integer],
+    primary_edge: npt.NDArray[np.integer],
+) -> Float:
+    """Nodes of secondary edges, their normals and nodes of primary edges; shape (l, 3, 2, 2)."""
+    nodes = secondary.edges[edge]
+    y = primary.points[primary.edges[primary_edge]]
+    return np.stack([secondary.points[nodes], secondary.normals[nodes], y], axis=1)
 
 
 def mortar_operator(
@@ -190,7 +195,7 @@ def mortar_operator(
         )
     nodes = edges[segments.secondary_edge]
     shapes = segments.secondary_shapes
-    D = np.bincount(nodes.ravel(), (segments.weight[:, None] * shapes).ravel(), n)
+    D = np.bincount(nodes.ravel(), (segments.weight[:, None] * shapes).ravel(), n).astype(float)
     coverage = D / np.bincount(edges.ravel(), np.repeat(secondary.lengths / 2, 2), n)
     small = (coverage < options.min_coverage) | (D == 0.0)
     kept = ~(dropped | small | np.isin(secondary.nodes, primary.nodes))
@@ -200,16 +205,29 @@ def mortar_operator(
     i, j = nodes[point, end], nodes[point, 1 - end]
     multiplier = _cut(_dual_shapes(segments, len(edges)), kept_here)[point, end]
     scaled = multiplier * segments.weight[point] / D[i]
-    H = _assemble(
+    H = assemble(
         scaled[:, None] * segments.primary_shapes[point],
         i[:, None],
         primary.edges[segments.primary_edge[point]],
         (n, len(primary.nodes)),
     )
     beside = ~kept[j]
-    C = _assemble((scaled * shapes[point, 1 - end])[beside], i[beside], j[beside], (n, n))
+    C = assemble((scaled * shapes[point, 1 - end])[beside], i[beside], j[beside], (n, n))
     idle = np.unique(segments.secondary_edge[~kept_here.any(axis=1)])
     return MortarOperator(D, H, C, coverage, kept, idle)
+
+
+def covered_parts(segments: Segments, num_edges: int) -> tuple[Float, Float, Float]:
+    """Length [m], centre and variance of the covered part of every edge; shapes (num_edges,).
+
+    Centre and variance are of the local coordinate, nan for edges without segment.
+    """
+    edge, xi, weight = segments.secondary_edge, segments.xi, segments.weight
+    length = np.bincount(edge, weight, num_edges)
+    with np.errstate(invalid="ignore"):
+        centre = np.bincount(edge, weight * xi, num_edges) / length
+        variance = np.bincount(edge, weight * (xi - centre[edge]) ** 2, num_edges) / length
+    return length, centre, variance
 
 
 def covered_shapes(secondary: Surface, segments: Segments, kept: Bool) -> Float:
@@ -287,18 +305,10 @@ def _dual_shapes(segments: Segments, num_edges: int) -> Float:
     Written with centre c and variance v of that part instead of the inverse of int N_i N_j, which
     loses all digits where the part is short. Equal to Eq. 57 where the edge is covered.
     """
-    edge, xi, weight = segments.secondary_edge, segments.xi, segments.weight
-
-    def mean(values: Float) -> Float:
-        with np.errstate(invalid="ignore"):  # edges without segment, which nobody reads
-            of_edges = np.bincount(edge, weight * values, num_edges) / length
-        return of_edges[edge]
-
-    length = np.bincount(edge, weight, num_edges)
-    centre = mean(xi)
-    offset = xi - centre
-    slope = (1.0 - centre**2) / (2.0 * mean(offset**2))
-    return _shapes(centre) + np.column_stack([-slope, slope]) * offset[:, None]
+    edge, xi = segments.secondary_edge, segments.xi
+    _, centre, variance = (values[edge] for values in covered_parts(segments, num_edges))
+    slope = (1.0 - centre**2) / (2.0 * variance)
+    return _shapes(centre) + np.column_stack([-slope, slope]) * (xi - centre)[:, None]
 
 
 def _cut(shapes: Float, kept: Bool) -> Float:
@@ -311,14 +321,15 @@ def _gram(secondary: Surface, segments: Segments, values: Float, factor: Float |
     weight = segments.weight if factor is None else segments.weight * factor
     products = weight[:, None, None] * values[:, :, None] * values[:, None, :]
     n = len(secondary.nodes)
-    return _assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
+    return assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
 
 
-def _assemble(
+def assemble(
     values: Float,
-    rows: npt.NDArray[np.int32],
-    columns: npt.NDArray[np.int32],
+    rows: npt.NDArray[np.integer],
+    columns: npt.NDArray[np.integer],
     shape: tuple[int, int],
 ) -> csr_array:
+    """Add values up in a matrix; values, rows and columns of shapes that broadcast."""
     values, rows, columns = (a.ravel() for a in np.broadcast_arrays(values, rows, columns))
     return coo_array((values, (rows, columns)), shape).tocsr()

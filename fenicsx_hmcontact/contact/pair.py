@@ -4,19 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from dolfinx.mesh import MeshTags
 
+from .friction import FrictionLaw, Frictionless, Tied, tangential_law
 from .mortar import MortarOptions
 
 if TYPE_CHECKING:
     from ..gap_flow import GapFlow
-
-
-@dataclass(frozen=True)
-class Tied:
-    """The surfaces move together: neither parting nor sliding."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +27,25 @@ class ContactPair:
         friction: Law between the solids.
         flow: Water between them; None where none passes.
         mortar: How the surfaces find each other.
+        motion: Whether normals, segments and gaps follow the surfaces as they move ("finite"), or
+            are those of the mesh ("small"): exact patch tests at small strain, no sliding beyond a
+            small part of a facet. Tied pairs are small.
+        linearised: Whether the tangent follows normals, projections and segments as the surfaces
+            move. Without it a step takes more iterations (8 to 20), to the same answer.
         name: Name of the pair in messages; "secondary/primary" tags where empty.
 
     Raises:
-        ValueError: If both surfaces are the same.
+        ValueError: If both surfaces are the same, the friction is no law, or the motion neither.
     """
 
     facet_tags: MeshTags
     secondary: int
     primary: int
-    friction: Tied = field(default_factory=Tied)
+    friction: Tied | Frictionless | FrictionLaw = field(default_factory=Tied)
     flow: GapFlow | None = None
     mortar: MortarOptions = field(default_factory=MortarOptions)
+    motion: Literal["finite", "small"] = "finite"
+    linearised: bool = True
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -52,5 +55,11 @@ class ContactPair:
                 f"secondary and primary surface are the same (tag {self.primary}); a body that "
                 "touches itself needs two surfaces"
             )
+        if self.motion not in ("finite", "small"):
+            raise ValueError(f'motion is {self.motion!r}; it must be "finite" or "small"')
+        if not isinstance(self.friction, Tied):
+            tangential_law(self.friction)
+        if self.flow is not None and not hasattr(self.flow, "aperture"):
+            raise ValueError(f"flow is {self.flow!r}; it must be a GapFlow, or None")
         if not self.name:
             object.__setattr__(self, "name", f"{self.secondary}/{self.primary}")

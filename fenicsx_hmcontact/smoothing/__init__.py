@@ -4,7 +4,13 @@
 from .assembly import SmoothedTerm
 from .measure import Enhancement, Smoothing, dc, node_cells_measure
 from .node_cells import NodeCells, create_node_cells
-from .point_form import PointForm, check_smoothable, point_forms, split_by_measure
+from .point_form import (
+    PointForm,
+    check_smoothable,
+    point_forms,
+    split_by_measure,
+    unite_subdomains,
+)
 
 __all__ = [
     "Enhancement",
@@ -18,4 +24,5 @@ __all__ = [
     "node_cells_measure",
     "point_forms",
     "split_by_measure",
+    "unite_subdomains",
 ]

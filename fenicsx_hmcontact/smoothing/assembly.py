@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
+from dolfinx import fem, la
 
 from .. import _compat
 from .._kernels import assembly as kernels
@@ -116,7 +116,7 @@ class SmoothedTerm:
 
     def _common(self) -> tuple[Any, ...]:
         cells = self._node_cells
-        constants = [np.ravel(c.value) for c in self._form.constants]
+        constants = [np.ravel(c.value).astype(np.float64) for c in self._form.constants]
         return (
             self._address,
             np.concatenate(constants) if constants else np.zeros(1),
@@ -185,11 +185,15 @@ def _cells_of(form: PointForm, node_cells: NodeCells) -> npt.NDArray[np.int32]:
     ids = form.subdomain[0] if len(form.subdomain) == 1 else form.subdomain
     if getattr(tags, "dim", None) != 2:
         raise ValueError(f"dc({ids}) needs subdomain_data with tags of cells")
+    _compat.check_tags(tags, node_cells.mesh)
     tagged = node_cells.mesh.comm.allreduce(int(np.isin(tags.values, form.subdomain).sum()))
     if not tagged:
         raise ValueError(f"dc({ids}): no cell has such a tag")
-    inside = np.zeros(node_cells.vertices.shape[0])
-    inside[tags.indices[np.isin(tags.values, form.subdomain)]] = 1.0
+    marks = la.vector(node_cells.mesh.topology.index_map(2), 1, dtype=np.float64)
+    marks.array[tags.indices[np.isin(tags.values, form.subdomain)]] = 1.0
+    # Tags may name owned triangles alone.
+    marks.scatter_forward()
+    inside = marks.array
     starts = node_cells.triangle_offsets[:-1]
     least = np.minimum.reduceat(inside[node_cells.triangles], starts) if starts.size else inside[:0]
     most = np.maximum.reduceat(inside[node_cells.triangles], starts) if starts.size else inside[:0]

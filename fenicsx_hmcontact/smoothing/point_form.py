@@ -203,22 +203,40 @@ def point_forms(form: Form | None) -> list[PointForm]:
     """
     if form is None:
         return []
-    integrals, _ = split_by_measure(expand_derivatives(form))
-    # UFL splits dc((1, 2)) into one integral an id; a node cell may lie in both.
-    united: dict[tuple[Enhancement, int, Expr], set[int]] = {}
-    tags = {}
+    integrals, _ = split_by_measure(expand_derivatives(unite_subdomains(form)))
+    groups: dict[tuple[Enhancement, int, tuple[int, ...]], list[Integral]] = {}
     for integral in integrals:
-        data = integral.subdomain_data()
-        tags[id(data)] = data
-        key = (integral.metadata()[METADATA_KEY], id(data), integral.integrand())
-        united.setdefault(key, set()).update(_ids(integral.subdomain_id()))
-    groups: dict[tuple[Enhancement, int, tuple[int, ...]], list[Expr]] = {}
-    for (enhancement, data_id, integrand), ids in united.items():
-        groups.setdefault((enhancement, data_id, tuple(sorted(ids))), []).append(integrand)
+        data_id, ids = id(integral.subdomain_data()), _ids(integral.subdomain_id())
+        groups.setdefault((integral.metadata()[METADATA_KEY], data_id, ids), []).append(integral)
     return [
-        _transform(integrands, enhancement, ids, tags[data_id])
-        for (enhancement, data_id, ids), integrands in groups.items()
+        _transform([i.integrand() for i in group], enhancement, ids, group[0].subdomain_data())
+        for (enhancement, _, ids), group in groups.items()
     ]
+
+
+def unite_subdomains(form: Form) -> Form:
+    """Undo what UFL makes of dc((1, 2)), one integral an id: a node cell may lie in both.
+
+    Such integrals share one integrand, the same object, as long as no derivative is taken.
+    """
+    united: list[tuple[Integral, list[int]]] = []
+    for integral in form.integrals():
+        ids = []
+        if METADATA_KEY in integral.metadata():
+            ids = list(_ids(integral.subdomain_id()))
+        for other, its_ids in united if ids else ():
+            if (
+                other.integrand() is integral.integrand()
+                and other.subdomain_data() is integral.subdomain_data()
+                and other.metadata() == integral.metadata()
+                and its_ids
+                and set(its_ids).isdisjoint(ids)
+            ):
+                its_ids.extend(ids)
+                break
+        else:
+            united.append((integral, ids))
+    return Form([i.reconstruct(subdomain_id=tuple(sorted(ids))) if ids else i for i, ids in united])
 
 
 def _ids(subdomain_id: Any) -> tuple[int, ...]:
@@ -228,7 +246,7 @@ def _ids(subdomain_id: Any) -> tuple[int, ...]:
     ids = subdomain_id if isinstance(subdomain_id, tuple) else (subdomain_id,)
     if not all(isinstance(i, numbers.Integral) for i in ids):
         raise ValueError(f"dc({subdomain_id!r}): node cells are restricted by cell tags, numbers")
-    return tuple(int(i) for i in ids)
+    return tuple(sorted(int(i) for i in ids))
 
 
 def _unique(expression: Expr) -> Iterator[Expr]:

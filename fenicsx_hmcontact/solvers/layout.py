@@ -21,6 +21,9 @@ class FieldLayout:
     Args:
         spaces: Function space of each field, all on one communicator.
 
+    Raises:
+        ValueError: If there are more unknowns than PETSc's 32-bit indices can count.
+
     Attributes:
         spaces: The spaces.
         block_sizes: Components of a block dof of each field.
@@ -49,6 +52,8 @@ class FieldLayout:
         rank_first = np.concatenate(([0], np.cumsum(per_rank.sum(axis=1))))
         self.first = int(rank_first[self.comm.rank])
         self.n_global = int(rank_first[-1])
+        if self.n_global > np.iinfo(np.int32).max:
+            raise ValueError(f"{self.n_global} unknowns are more than PETSc's indices can count")
         # Global number of each rank's first unknown of each field, and of its first block dof.
         self._field_first = rank_first[:-1, None] + np.hstack(
             (np.zeros((self.comm.size, 1), np.int64), np.cumsum(per_rank, axis=1)[:, :-1])

@@ -64,11 +64,14 @@ class LocalMatrix:
         for block in self._blocks:
             self._build_pattern(block)
         self.n_entries = sum(block.indices.size for block in self._blocks)
+        self.values = np.zeros(0)
         self.reserve(0)
 
     def reserve(self, n_extra: int) -> None:
         """Allocate the values, with room for ``n_extra`` entries after those of the blocks."""
+        kept = self.values[: self.n_entries]
         self.values = np.zeros(self.n_entries + n_extra)
+        self.values[: kept.size] = kept
         first = 0
         for block in self._blocks:
             block.values = self.values[first : first + block.indices.size]
@@ -87,6 +90,19 @@ class LocalMatrix:
                 block.by_dolfinx.add(block.form)
             for term in block.terms:
                 term.add_to_matrix(block.values)
+
+    def diagonal(self) -> npt.NDArray[np.float64]:
+        """Diagonal of the blocks of each field with itself; lacks what other ranks add to it."""
+        result = np.zeros(self._layout.n_local)
+        fields = self._layout.views(result)
+        for block in self._blocks:
+            if block.test == block.trial:
+                size = fields[block.test].size
+                matrix = scipy.sparse.csr_matrix(
+                    (block.values, block.indices, block.indptr), shape=(size, size)
+                )
+                fields[block.test][:] = matrix.diagonal()
+        return result
 
     def multiply(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Multiply with a local vector; the result lacks what other ranks add to it."""

@@ -6,14 +6,20 @@ from fenicsx_hmcontact.solvers import ConvergenceError, NewtonOptions, NewtonRes
 
 
 class Scalar:
-    """One unknown in two equal fields: F(x) = f, slope g."""
+    """One unknown in two equal fields: F(x) = f, slope g; sets change in the first residuals."""
 
-    def __init__(self, comm, f, g, x):
+    def __init__(self, comm, f, g, x, changes=0):
         self.field_names = ["first", "second"]
         self.comm, self.f, self.g, self.x = comm, f, g, x
         self.r = np.nan
+        self.changes = changes
+
+    @property
+    def settled(self):
+        return self.changes < 0
 
     def residual(self):
+        self.changes -= 1
         self.r = self.f(self.x)
         if not np.isfinite(self.r):
             raise FloatingPointError("the residual of first is not a number")
@@ -43,6 +49,12 @@ def test_finds_the_root_quadratically(comm):
 def test_linear_equations_take_one_iteration(comm):
     system = Scalar(comm, lambda x: 3 * x - 6, lambda x: 3, 0.0)
     assert solve_newton(system, NewtonOptions()).iterations == 1
+
+
+def test_goes_on_until_the_sets_are_settled(comm):
+    system = Scalar(comm, lambda x: 3 * x - 6, lambda x: 3, 0.0, changes=4)
+    # The fifth residual is the first that leaves the sets as they were; one is before the steps.
+    assert solve_newton(system, NewtonOptions()).iterations == 4
 
 
 def test_tolerance_decides_when_to_stop(comm):

@@ -45,28 +45,37 @@ def test_expanded_entries_make_the_triple_product(seed):
     constrained = rng.random(n) < 0.3
     constrained[condensed] = False
 
-    # Rows of T at condensed unknowns reach any free global number, also unknowns not seen here.
+    # Rows at condensed unknowns reach any free global number, also unknowns not seen here.
     free = np.setdiff1d(np.arange(n_global), numbers[constrained])
-    rows = sparse.random_array((6, n_global), density=0.2, rng=rng).toarray()
-    rows[:, np.setdiff1d(np.arange(n_global), free)] = 0.0
-    T = np.zeros((n, n_global))
-    T[np.arange(n), numbers] = ~constrained
-    T[condensed] = rows
-    expected = T.T @ K.toarray() @ T
+
+    def transformation():
+        """Dense, and its rows at condensed unknowns."""
+        rows = np.zeros((6, n_global))
+        rows[:, free] = sparse.random_array((6, free.size), density=0.2, rng=rng).toarray()
+        matrix = np.zeros((n, n_global))
+        matrix[np.arange(n), numbers] = ~constrained
+        matrix[condensed] = rows
+        return matrix, sparse.csr_array(rows)
+
+    (W, row_weights), (T, column_weights) = transformation(), transformation()
+    expected = W.T @ K.toarray() @ T
 
     slots = np.full(n, -1, np.int32)
     slots[condensed] = np.arange(6)
-    sparse_rows = sparse.csr_array(rows)
     source, factor, new_rows, new_columns = expand_entries(
         K.row.astype(np.int32),
         K.col.astype(np.int32),
         numbers,
         constrained,
         slots,
-        sparse_rows.indptr,
-        sparse_rows.indices.astype(np.int32),
-        sparse_rows.data,
+        row_weights.indptr,
+        row_weights.indices.astype(np.int32),
+        row_weights.data,
+        column_weights.indptr,
+        column_weights.indices.astype(np.int32),
+        column_weights.data,
     )
+    assert np.all((slots[K.row[source]] >= 0) | (slots[K.col[source]] >= 0))
     result = np.zeros((n_global, n_global))
     np.add.at(result, (new_rows, new_columns), factor * K.data[source])
     # The entries away from condensed unknowns stay where they were.

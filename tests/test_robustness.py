@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""ContactProblem in unusual use: the answer is right, or what is wrong is refused by name."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import meshtags
+
+import fenicsx_hmcontact as hm
+from tests.models import LOAD, MATERIAL, Elastic, Porous, fix, integral, largest, stack, total
+
+BASE = {("bottom_0", None): np.zeros(2)}
+TIED = [("bottom_1", "top_0", None)]
+CLOSED = hm.GapFlow(1e-9)
+OPEN = hm.GapFlow(1e-9, aperture=2e-4)
+
+
+class Scalar:
+    """A block, or blocks without contact, with one scalar unknown."""
+
+    def __init__(self, comm, across=(4,)):
+        self.domain = stack(comm, across)
+        self.mesh = self.domain.mesh
+        self.mesh.topology.create_connectivity(1, 2)
+        self.Q = fem.functionspace(self.mesh, ("P", 1))
+        self.u, self.v = fem.Function(self.Q, name="head"), ufl.TestFunction(self.Q)
+        self.bcs = [fix(self.domain, self.Q, "bottom_0")]
+
+    def laplace(self, measure=hm.dc):
+        return ufl.inner(ufl.grad(self.u), ufl.grad(self.v)) * measure
+
+    def halves(self):
+        """Tags 1 and 2 of cells left and right of the diagonal, which share nodes."""
+        return self.tagged(lambda x: np.where(x[:, 0] < x[:, 1], 1, 2))
+
+    def tagged(self, values, owned=False):
+        cells = self.mesh.topology.index_map(2)
+        cells = np.arange(cells.size_local + (0 if owned else cells.num_ghosts), dtype=np.int32)
+        middle = self.mesh.geometry.x[self.mesh.geometry.dofmaps[0][cells]].mean(axis=1)
+        return meshtags(self.mesh, 2, cells, np.asarray(values(middle), np.int32))
+
+    def solve(self, residual, **options):
+        """Solve from zero; return a copy of the local unknowns."""
+        self.u.x.array[:] = 0.0
+        hm.ContactProblem(residual, self.u, **({"bcs": self.bcs} | options)).solve()
+        return self.u.x.array.copy()
+
+
+def assert_close(values, expected, comm, tolerance=1e-9):
+    """The arrays of all ranks agree, relative to the largest value."""
+    assert largest(values - expected, comm) <= tolerance * largest(expected, comm)
+
+
+# --- terms on node cells ---------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("load", "amount"),
+    [
+        (lambda f, dc: f * dc, 1.0),
+        (lambda f, dc: f * dc + f * dc, 2.0),
+        (lambda f, dc: f * dc(1) + f * dc(1), 1.0),
+        (lambda f, dc: f * dc + f * dc(1), 1.5),
+        (lambda f, dc: f * dc((1, 2)) + f * dc(2), 1.5),
+        (lambda f, dc: f * dc((1, 2)) + f * dc((1, 2)), 2.0),
+        (lambda f, dc: f * dc + f * dc - f * dc, 1.0),
+    ],
+)
+def test_every_term_counts_once(comm, load, amount):
+    s = Scalar(comm, (3, 4))
+    dc = hm.dc(domain=s.mesh, subdomain_data=s.domain.cell_tags)
+    source = fem.Constant(s.mesh, 1.0) * s.v
+    s.solve(s.u * s.v * ufl.dx - load(source, dc), bcs=[])
+    assert integral(fem.form(s.u * ufl.dx), comm) == pytest.approx(amount, rel=1e-12)
+
+
+@pytest.mark.mpi
+def test_layers_that_share_nodes_make_one_region(comm):
+    s = Scalar(comm)
+    layers = hm.dc(domain=s.mesh, subdomain_data=s.halves())((1, 2))
+
+    def residual(measure):
+        return s.laplace(measure) + (s.u + s.u**3 - 1.0) * s.v * measure
+
+    assert_close(s.solve(residual(layers)), s.solve(residual(hm.dc)), comm)
+
+
+@pytest.mark.mpi
+def test_stress_of_layers_that_share_nodes(comm):
+    s = Scalar(comm)
+    V = fem.functionspace(s.mesh, ("P", 1, (2,)))
+    u, w = fem.Function(V), ufl.TestFunction(V)
+    layers = hm.dc(domain=s.mesh, subdomain_data=s.halves())((1, 2))
+    found = []
+    for measure in (layers, hm.dc):
+        u.x.array[:] = 0.0
+        F = ufl.inner(MATERIAL.stress(u), ufl.grad(w)) * measure - LOAD * w[1] * ufl.dx
+        hm.ContactProblem(F, u, bcs=[fix(s.domain, V, "bottom_0", np.zeros(2))]).solve()
+        found.append(u.x.array.copy())
+    assert_close(*found, comm)
+
+
+@pytest.mark.mpi
+def test_tags_may_name_owned_cells_alone(comm):
+    s = Scalar(comm)
+    tags = s.tagged(lambda x: np.ones(len(x)), owned=True)
+    owned = hm.dc(domain=s.mesh, subdomain_data=tags)(1)
+    load = s.v * hm.dc
+    assert_close(s.solve(s.laplace(owned) - load), s.solve(s.laplace() - load), comm)
+
+
+def test_constants_in_single_precision(comm):
+    s = Scalar(comm)
+    load = s.v * hm.dc
+    expected = s.solve(2.0 * s.laplace() - load)
+    assert_close(
+        s.solve(fem.Constant(s.mesh, np.float32(2.0)) * s.laplace() - load), expected, comm
+    )
+
+
+# --- pairs -----------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_tie_closes_a_jump_of_the_displacement(comm):
+    options = dict(fixed=BASE, tractions={"top_1": (0.0, -LOAD)}, pairs=TIED)
+    m = Elastic(stack(comm, [3, 5]), **options)
+    m.problem.solve()
+    expected = m.u.x.array.copy()
+    m.u.interpolate(lambda x: np.where(x[1] > 0.4, 1e-3, -2e-3) * np.vstack((x[0] ** 2, x[0])))
+    m.problem.solve()
+    assert_close(m.u.x.array, expected, comm)
+
+
+@pytest.mark.mpi
+def test_a_tie_closes_a_jump_of_the_pore_pressure(comm):
+    sides = {(f"{side}_{k}", 0): 0.0 for side in ("left", "right") for k in (0, 1)}
+    domain = stack(comm, [3, 5])
+    m = Porous(
+        domain,
+        fixed=sides | {("bottom_0", 0): 0.0, ("bottom_0", 1): 0.0},
+        drained={"top_1": 0.0},
+        tractions={"top_1": (0.0, -LOAD)},
+        pairs=[("bottom_1", "top_0", CLOSED)],
+    )
+    m.problem.solve()
+    expected = m.u.x.array.copy(), m.p.x.array.copy()
+    domain.mesh.topology.create_connectivity(2, 2)
+    upper = fem.locate_dofs_topological(m.Q, 2, domain.cell_tags.find(2))
+    m.p.x.array[upper] = LOAD
+    m.problem.solve()
+    assert_close(m.u.x.array, expected[0], comm)
+    assert_close(m.p.x.array, expected[1], comm)
+    m.p.x.array[upper] += LOAD
+    m.step()
+    assert np.abs(m.problem.interface(m.pairs[0]).jump).max() < 1e-9 * LOAD
+
+
+@pytest.mark.mpi
+def test_tractions_at_a_node_between_two_pairs(comm):
+    domain = stack(comm, [6, 8, 5], levels=[0.0, 1.0, 2.0, 4.0], rows=6)
+    mesh = domain.mesh
+    # The third block beside the others: the corner of the first is primary and secondary.
+    beside = np.unique(mesh.geometry.dofmaps[0][domain.cell_tags.find(domain.body("block_2"))])
+    mesh.geometry.x[beside] += (1.0, -2.0, 0.0)
+    m = Elastic(
+        domain,
+        fixed={("right_2", None): np.zeros(2)},
+        tractions={"top_1": (0.0, -1e4), "left_0": (5e3, 0.0), "left_1": (5e3, 0.0)},
+        pairs=[*TIED, ("right_0", "left_2", None)],
+    )
+    m.problem.solve()
+    state = m.problem.interface(m.pairs[1])
+    order = np.argsort(state.points[:, 1])
+    lengths = np.diff(state.points[order, 1])
+    weights = 0.5 * (np.append(lengths, 0.0) + np.append(0.0, lengths))
+    n = state.normals
+    t = np.column_stack((n[:, 1], -n[:, 0]))
+    traction = state.pressure[:, None] * n + state.shear[:, None] * t
+    np.testing.assert_allclose(weights @ traction[order], (-1e4, 1e4), rtol=1e-8)
+    support = total(m.problem.reactions(m.u), domain, "right_2")
+    np.testing.assert_allclose(support, (-1e4, 1e4), rtol=1e-8)
+
+
+def test_refuses_a_secondary_pressure_wholly_prescribed(comm):
+    with pytest.raises(ValueError, match="pore pressure is prescribed on the whole secondary"):
+        Porous(
+            stack(comm, [3, 5]),
+            fixed={("bottom_0", 0): 0.0, ("bottom_0", 1): 0.0},
+            drained={"bottom_1": 0.0},
+            pairs=[("bottom_1", "top_0", CLOSED)],
+        )
+
+
+def test_refuses_primary_layers_behind_each_other(comm):
+    domain = stack(comm, [5, 6, 7], levels=[0.0, 0.45, 0.5, 1.0])
+    m = Elastic(domain, fixed=BASE)
+    tags, primary = domain.facet_tags, 99
+    both = np.isin(tags.values, [domain.surface("top_0"), domain.surface("top_1")])
+    values = np.where(both, primary, tags.values).astype(np.int32)
+    tags = meshtags(domain.mesh, 1, tags.indices, values)
+    pair = hm.ContactPair(tags, domain.surface("bottom_2"), primary)
+    with pytest.raises(ValueError, match="several parts of the primary surface lie behind each"):
+        hm.ContactProblem(m.F, m.u, bcs=m.problem.bcs, pairs=[pair])
+
+
+@pytest.mark.parametrize(("option", "value"), [("friction", None), ("flow", 3)])
+def test_refuses_laws_that_are_none(comm, option, value):
+    domain = stack(comm, [2, 3])
+    with pytest.raises(ValueError, match=f"{value} is no {option}|{option} is {value}"):
+        hm.ContactPair(domain.facet_tags, 1, 2, **{option: value})
+
+
+# --- fields and conditions -------------------------------------------------------------------
+
+
+def two_fields(s, names=("a", "b")):
+    """Two unknowns of one space: u'' = -1 and u'' - u = -2."""
+    a, b = (fem.Function(s.Q, name=name) for name in names)
+    v, w = ufl.TestFunctions(ufl.MixedFunctionSpace(s.Q, s.Q))
+    F = (ufl.inner(ufl.grad(a), ufl.grad(v)) - v) * hm.dc
+    F += (ufl.inner(ufl.grad(b), ufl.grad(w)) + b * w - 2.0 * w) * hm.dc
+    return F, [a, b]
+
+
+@pytest.mark.mpi
+def test_a_condition_on_a_space_holds_for_all_its_fields(comm):
+    s = Scalar(comm)
+    F, (a, b) = two_fields(s)
+    hm.ContactProblem(F, [a, b], bcs=s.bcs).solve()
+    assert_close(a.x.array, s.solve(s.laplace() - s.v * hm.dc), comm)
+    assert_close(b.x.array, s.solve(s.laplace() + (s.u - 2.0) * s.v * hm.dc), comm)
+
+
+def test_fields_of_equal_names_are_numbered(comm):
+    s = Scalar(comm)
+    F, unknowns = two_fields(s, ("w", "w"))
+    n = s.Q.dofmap.index_map.size_global
+    assert hm.ContactProblem(F, unknowns, bcs=s.bcs).n_unknowns == {"w 0": n, "w 1": n}
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_refuses_a_trial_function(comm, linear):
+    s = Scalar(comm)
+    bilinear = ufl.inner(ufl.grad(ufl.TrialFunction(s.Q)), ufl.grad(s.v)) * hm.dc
+    with pytest.raises(ValueError, match=r"has 2 arguments.*no trial function"):
+        hm.ContactProblem(bilinear - s.v * hm.dc if linear else bilinear, s.u, bcs=s.bcs)
+
+
+def test_refuses_unknowns_in_the_wrong_order(comm):
+    m = Porous(stack(comm, [3]), fixed={("bottom_0", 1): 0.0}, drained={"top_0": 0.0})
+    with pytest.raises(ValueError, match="in the order of the residual's test functions"):
+        hm.ContactProblem(m.F, [m.p, m.u], bcs=m.bcs)
+
+
+# --- tags, measures and meshes ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["dx", "ds"])
+def test_refuses_several_tags_for_one_kind_of_term(comm, kind):
+    s = Scalar(comm)
+    if kind == "dx":
+        tags = [s.tagged(lambda x, n=n: np.full(len(x), n)) for n in (1, 2)]
+    else:
+        old = s.domain.facet_tags
+        tags = [old, meshtags(s.mesh, 1, old.indices, old.values)]
+    first, second = (ufl.Measure(kind, s.mesh, subdomain_data=t)(1) for t in tags)
+    with pytest.raises(ValueError, match="use several tags"):
+        hm.ContactProblem(s.laplace() + s.u * s.v * first + 5.0 * s.u * s.v * second, s.u)
+
+
+@pytest.mark.parametrize("measure", [hm.dc, ufl.dx, ufl.ds])
+def test_refuses_a_measure_on_another_mesh(comm, measure):
+    s, other = Scalar(comm), stack(comm, [3]).mesh
+    with pytest.raises(ValueError, match="equation of head is integrated over another mesh"):
+        hm.ContactProblem(s.laplace(hm.dc(domain=s.mesh)) - s.v * measure(domain=other), s.u)
+
+
+@pytest.mark.parametrize("kind", ["dc", "dx", "ds"])
+def test_rebinding_refuses_tags_of_the_old_mesh(comm, kind):
+    old, new = Scalar(comm), Scalar(comm, (6,))
+    tags, new_tags = (
+        s.domain.facet_tags if kind == "ds" else s.domain.cell_tags for s in (old, new)
+    )
+    measure = {"dc": hm.dc, "dx": ufl.dx, "ds": ufl.ds}[kind]
+    restricted = measure(domain=old.mesh, subdomain_data=tags)(1)
+    F = old.laplace() + (old.u - 1.0) * old.v * restricted
+    model = hm.ContactProblem(F, old.u).model
+    with pytest.raises(ValueError, match="tags belong to another mesh"):
+        hm.ContactProblem(model, new.u)
+    hm.ContactProblem(model, new.u, replace={tags: new_tags}).solve()
+    np.testing.assert_allclose(new.u.x.array, 1.0, rtol=1e-9)
+
+
+@pytest.mark.mpi
+def test_refuses_a_mesh_that_has_moved(comm):
+    s = Scalar(comm)
+    problem = hm.ContactProblem(s.laplace() - s.v * hm.dc, s.u, bcs=s.bcs)
+    problem.solve()
+    before = s.u.x.array.copy()
+    # One corner, which only one rank may see.
+    x = s.mesh.geometry.x
+    x[(x[:, 0] == 0.0) & (x[:, 1] == 0.0), 0] -= 0.1
+    with pytest.raises(RuntimeError, match="mesh has moved"):
+        problem.solve()
+    np.testing.assert_array_equal(s.u.x.array, before)
+
+
+# --- Newton's method and steps ---------------------------------------------------------------
+
+
+def test_one_wild_increment_does_not_loosen_the_test(comm):
+    s = Scalar(comm)
+    # Almost flat about the start: the first increment is 1e15 times the solution.
+    flat = ufl.conditional(ufl.lt(abs(s.u - 3.0), 1.0), 1.0 + 1e-15 * s.u, s.u)
+    s.u.x.array[:] = 3.0
+    hm.ContactProblem((flat - 0.5) * s.v * ufl.dx, s.u).solve()
+    np.testing.assert_allclose(s.u.x.array, 0.5, rtol=1e-8)
+
+
+def test_balanced_initial_stress_takes_one_iteration(comm):
+    domain = stack(comm, [6])
+    domain.mesh.topology.create_connectivity(1, 2)
+    V = fem.functionspace(domain.mesh, ("P", 1, (2,)))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    initial = fem.Function(fem.functionspace(domain.mesh, ("DG", 0, (2, 2))))
+    stress = np.array([-1e5, 0.0, 0.0, -2e5])
+    initial.interpolate(lambda x: np.outer(stress, np.ones(x.shape[1])))
+    ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
+    free = ds(tuple(domain.surface(f"{side}_0") for side in ("top", "left", "right")))
+    n = ufl.FacetNormal(domain.mesh)
+    F = ufl.inner(MATERIAL.stress(u) + initial, ufl.grad(v)) * hm.dc
+    F -= (stress[0] * n[0] * v[0] + stress[3] * n[1] * v[1]) * free
+    problem = hm.ContactProblem(F, u, bcs=[fix(domain, V, "bottom_0", np.zeros(2))])
+    assert problem.solve().iterations == 1
+    # Round-off against the strain of the initial stress, about 2e-3.
+    assert largest(u.x.array, comm) < 1e-13
+    reaction = total(problem.reactions(u), domain, "bottom_0")
+    np.testing.assert_allclose(reaction, (0.0, 2e5), atol=1e-6)
+
+
+@pytest.mark.mpi
+def test_values_set_on_owned_unknowns_alone(comm):
+    s = Scalar(comm)
+    F = s.laplace(ufl.dx) + (s.u**3 - 1.0) * s.v * ufl.dx
+    expected = s.solve(F)
+    s.u.x.array[:] = -0.3
+    s.u.x.array[: s.Q.dofmap.index_map.size_local] = 0.3
+    hm.ContactProblem(F, s.u, bcs=s.bcs).solve()
+    assert_close(s.u.x.array, expected, comm)
+
+
+@pytest.mark.mpi
+def test_a_failed_solve_leaves_the_unknowns(comm):
+    s = Scalar(comm)
+    s.u.interpolate(lambda x: 0.3 + np.sin(7.0 * x[0]) * x[1])
+    s.u.x.scatter_forward()
+    before = s.u.x.array.copy()
+    F = (s.u**2 + 1.0) * s.v * ufl.dx
+    problem = hm.ContactProblem(F, s.u, bcs=s.bcs, newton=hm.NewtonOptions(max_iterations=3))
+    with pytest.raises(hm.ConvergenceError):
+        problem.solve()
+    np.testing.assert_array_equal(s.u.x.array, before)
+
+
+def film(comm):
+    """Two blocks with water in a gap of given aperture."""
+    fixed = {("bottom_0", 0): 0.0, ("bottom_0", 1): 0.0}
+    pairs = [("bottom_1", "top_0", OPEN)]
+    return Porous(stack(comm, [3, 5]), fixed=fixed, drained={"top_1": 0.0}, pairs=pairs)
+
+
+def test_refuses_a_time_step_that_is_no_constant(comm):
+    m = film(comm)
+    with pytest.raises(ValueError, match=r"time_step must be the fem\.Constant"):
+        hm.ContactProblem(m.F, [m.u, m.p], bcs=m.bcs, pairs=m.pairs, time_step=100.0)
+
+
+@pytest.mark.parametrize("dt", [0.0, -1.0])
+def test_refuses_a_time_step_that_is_not_positive(comm, dt):
+    with pytest.raises(ValueError, match=f"time_step is {dt}; it must be positive"):
+        film(comm).step(dt)

@@ -74,13 +74,6 @@ class LinearSolver:
         with self._options_in_database():
             self.ksp.setFromOptions()
 
-    def __del__(self) -> None:
-        """Free the factorisation now: PETSc would keep it until all ranks clean up together."""
-        if hasattr(self, "ksp"):
-            self.ksp.reset()
-            for kept in (self.matrix, self._x, self._b):
-                kept.destroy()
-
     def set_values(self, values: npt.NDArray[np.float64]) -> None:
         """Set the entries, in the order of the pattern, and scale the matrix. Collective."""
         self.matrix.setValuesCOO(values)

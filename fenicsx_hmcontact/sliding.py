@@ -156,7 +156,12 @@ class SlidingCoupling:
         self._dependence = self._conditions(pressure, gap, slip, stiffness, traction)
 
     def state(self, current: Float, residual: Float) -> InterfaceState:
-        """Tractions, gap and slip at the secondary nodes. Collective."""
+        """Tractions at the secondary nodes; there is no water. Collective.
+
+        Args:
+            current: Local array of the unknowns.
+            residual: Local array of the residual with what surfaces pass on to each other.
+        """
         self._place(current)
         kept, normals = self._operator.kept, self._secondary.normals
         force = self._layout.gather(self._dofs[0], residual).reshape(-1, 2)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -57,6 +58,9 @@ class LinearSolver:
         columns: npt.NDArray[np.int32],
         options: Mapping[str, Any] | None = None,
     ) -> None:
+        comm = _lasting(comm)
+        # On several ranks a discarded solver waits, with its factors, for this collective call.
+        PETSc.garbage_cleanup(comm)
         self.matrix = PETSc.Mat().create(comm)
         self.matrix.setSizes(((n_owned, None), (n_owned, None)))
         self.matrix.setType(PETSc.Mat.Type.AIJ)
@@ -150,3 +154,12 @@ class LinearSolver:
         if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
             return 0
         return int(pc.getFactorMatrix().getMumpsInfog(NULL_PIVOTS))
+
+
+def _lasting(comm: Any) -> Any:
+    """The communicator of all ranks if ``comm``, a mesh's own duplicate, has the same ranks.
+
+    PETSc keeps what is to be destroyed with the communicator, and a mesh's ends with the mesh.
+    """
+    same = MPI.Comm.Compare(comm, MPI.COMM_WORLD) <= MPI.CONGRUENT
+    return MPI.COMM_WORLD if same else comm

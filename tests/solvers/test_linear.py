@@ -151,3 +151,17 @@ def test_solver_that_is_not_there_is_reported(comm):
     solver.set_values(values)
     with pytest.raises(RuntimeError, match="the linear solver cannot be used here"):
         solver.solve(np.ones(owned))
+
+
+def test_discarded_solvers_are_destroyed(comm):
+    if comm.size > 2:
+        pytest.skip("takes a minute where ranks share cores")
+    # MPI has some 2000 communicators, and each factorisation takes one.
+    row = np.zeros(1, np.int32) + comm.rank
+    for _ in range(2200):
+        mesh_comm = comm.Dup()
+        solver = LinearSolver(mesh_comm, 1, row.copy(), row.copy())
+        solver.set_values(np.ones(1))
+        solver.solve(np.ones(1))
+        del solver
+        mesh_comm.Free()

@@ -20,6 +20,7 @@ from .contact import (  # noqa: E402
     Frictionless,
     InterfaceState,
     MortarOptions,
+    NodeState,
     Tied,
 )
 from .domain import Domain, vertex_ghost_partitioner  # noqa: E402
@@ -33,7 +34,7 @@ from .poromechanics import (  # noqa: E402
 )
 from .problem import ContactProblem  # noqa: E402
 from .smoothing import create_node_cells, dc, node_cells_measure  # noqa: E402
-from .solvers import ConvergenceError, NewtonOptions  # noqa: E402
+from .solvers import ConvergenceError, NewtonOptions, SingularSystemError  # noqa: E402
 
 __version__ = version("fenicsx_hmcontact")
 
@@ -49,6 +50,8 @@ __all__ = [
     "LinearElastic",
     "MortarOptions",
     "NewtonOptions",
+    "NodeState",
+    "SingularSystemError",
     "Tied",
     "__version__",
     "create_node_cells",

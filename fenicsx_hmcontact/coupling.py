@@ -16,6 +16,7 @@ from .contact import (
     Dependence,
     InterfaceState,
     MortarOperator,
+    NodeState,
     Segments,
     Surface,
     covered_mass,
@@ -26,9 +27,6 @@ from .contact import (
 )
 from .gap_flow import film_conductance
 from .solvers import FieldLayout
-
-DOUBLE = 1e-6
-"""A secondary node may be covered more than once by this part, by round-off."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +106,7 @@ class Coupling:
         primary = np.concatenate([part.primary for part in self._components])
         return secondary, primary
 
+    @property
     def dependences(self) -> list[Dependence]:
         """How the secondary unknowns depend on others (Eq. 64)."""
         return [
@@ -167,19 +166,36 @@ class Coupling:
             mean = secondary - 0.5 * jump * ~part.prescribed
             mass = covered_mass(surface, self._segments, operator.kept)
             np.divide(mass @ mean, operator.D, out=water, where=operator.kept)
-        force = np.full((len(normals), 2), np.nan)
+        traction = np.full((len(normals), 2), np.nan)
+        forces, opposite = np.zeros((len(normals), 2)), np.zeros((len(self._primary.nodes), 2))
+        paired = np.zeros(len(normals), bool)
         for part in self._components:
             if part.is_pressure:
                 continue
             # The residual is internal less external force: what the primary does to the secondary,
             # solid and water together.
-            total = self._layout.gather(part.secondary, residual)
-            kept = part.operator.kept
-            np.divide(total, part.operator.D, out=force[:, part.component], where=kept)
-            force[:, part.component] -= water * normals[:, part.component]
-        tangents = np.column_stack((normals[:, 1], -normals[:, 0]))
+            operator, axis = part.operator, part.component
+            total = np.where(operator.kept, self._layout.gather(part.secondary, residual), 0.0)
+            np.divide(total, operator.D, out=traction[:, axis], where=operator.kept)
+            traction[:, axis] -= water * normals[:, axis]
+            forces[:, axis] = total + operator.C.T @ total
+            opposite[:, axis] = -(operator.H.T @ total)
+            paired |= operator.kept
+        unpaired = np.where(paired, 0.0, np.nan)
         return InterfaceState(
-            surface.points, normals, _along(force, normals), _along(force, tangents), mean, jump
+            surface.points,
+            normals,
+            _along(traction, normals),
+            _along(traction, np.column_stack((normals[:, 1], -normals[:, 0]))),
+            mean,
+            jump,
+            self.aperture + unpaired,
+            np.zeros(len(normals)),
+            np.where(paired, NodeState.STICKING, NodeState.UNPAIRED).astype(np.int8),
+            self._components[0].operator.D,
+            forces,
+            self._primary.points,
+            opposite,
         )
 
     @property
@@ -234,13 +250,6 @@ class Coupling:
                     "so that nothing ties the edge between them; swap secondary and primary"
                 )
         for part in self._components:
-            twice = int(np.argmax(part.operator.coverage))
-            if part.operator.coverage[twice] > 1.0 + DOUBLE:
-                x, y = self._secondary.points[twice]
-                raise ValueError(
-                    f"pair {name}: several parts of the primary surface lie behind each other at "
-                    f"({x:.6g}, {y:.6g}); lower the search radius, or leave the farther part out"
-                )
             if part.is_pressure and self.aperture == 0.0 and not part.tied.any():
                 raise ValueError(
                     f"pair {name}: the pore pressure is prescribed on the whole secondary surface, "

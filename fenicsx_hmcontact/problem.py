@@ -13,8 +13,11 @@ import ufl
 from dolfinx import fem
 
 from . import _compat
-from .contact import Condensation, ContactPair, InterfaceState, Tied
+from .condensed import CondensedMatrix
+from .contact import Condensation, ContactPair, Dependence, InterfaceState, Tied
 from .coupling import Coupling
+from .diagnosis import free_motions
+from .domain import Domain
 from .model import CompiledBlock, CompiledModel, compile_model, integration_mesh
 from .sliding import SlidingCoupling
 from .smoothing import SmoothedTerm, create_node_cells
@@ -24,6 +27,7 @@ from .solvers import (
     LocalMatrix,
     NewtonOptions,
     NewtonResult,
+    SingularSystemError,
     solve_newton,
 )
 
@@ -47,6 +51,7 @@ class ContactProblem:
         newton: When Newton's method stops.
         petsc_options: Options of the linear solver, without prefix; MUMPS where None.
         entity_maps: Maps to submeshes that functions in the residual live on.
+        domain: Where the mesh comes from: errors then name its bodies.
         replace: With a compiled model: what takes the place of its functions, constants and tags;
             its unknowns and their spaces are replaced by themselves.
 
@@ -74,10 +79,12 @@ class ContactProblem:
         newton: NewtonOptions = NewtonOptions(),
         petsc_options: Mapping[str, Any] | None = None,
         entity_maps: Sequence[Any] | None = None,
+        domain: Domain | None = None,
         replace: Mapping[Any, Any] | None = None,
     ) -> None:
         self.unknowns = [unknowns] if isinstance(unknowns, fem.Function) else list(unknowns)
         self.bcs = list(bcs)
+        self._domain = domain
         self.newton = newton
         self._mesh = integration_mesh(self.unknowns)
         self.comm = self._mesh.comm
@@ -88,9 +95,7 @@ class ContactProblem:
         if time_step is not None and not isinstance(time_step, fem.Constant):
             raise ValueError("time_step must be the fem.Constant that stands in the residual")
         self._time_step = time_step
-        self._petsc_options = petsc_options
         self._points = self._mesh.geometry.x.copy()
-        self._largest_force = 0.0
         if isinstance(residual, CompiledModel):
             if entity_maps is not None:
                 raise ValueError("a compiled model keeps the entity_maps it was compiled with")
@@ -104,8 +109,9 @@ class ContactProblem:
 
         self._raw = np.zeros(self.layout.n_local)
         self._condensed = np.zeros(self.layout.n_local)
-        self._linear: LinearSolver | None = None
-        self._pattern: tuple[npt.NDArray[np.int32], ...] = ()
+        self._system = CondensedMatrix(
+            self.layout, self._matrix, self.condensation, self._constrained, petsc_options
+        )
         self._moved = False
         self._tangent_inputs: list[npt.NDArray[np.float64]] | None = None
 
@@ -119,6 +125,7 @@ class ContactProblem:
 
         Raises:
             ConvergenceError: If Newton's method does not converge. The unknowns are then as before.
+            SingularSystemError: If nothing holds a body or a pore pressure; it says which.
             RuntimeError: If a linear system cannot be solved, or the mesh has moved.
         """
         moved = not np.array_equal(self._points, self._mesh.geometry.x)
@@ -131,9 +138,11 @@ class ContactProblem:
         for u in self.unknowns:
             u.x.scatter_forward()
             start.append(u.x.array.copy())
+        self._start = np.concatenate(start)
         self._moved = False
         for coupling in self._sliding:
             coupling.reset()
+            coupling.release()
         try:
             result = solve_newton(self, self.newton)
         except Exception:
@@ -141,13 +150,18 @@ class ContactProblem:
                 u.x.array[:] = array
             raise
         for coupling in self._sliding:
-            coupling.commit(self._current())
+            coupling.commit()
         return result
 
     @property
     def settled(self) -> bool:
         """Whether the last residual was that of the same contact sets as the one before."""
         return all(coupling.settled for coupling in self._sliding)
+
+    @property
+    def sets(self) -> bytes:
+        """The contact sets that the last residual belongs to."""
+        return b"".join(coupling.status.signature for coupling in self._sliding)
 
     @property
     def n_unknowns(self) -> dict[str, int]:
@@ -161,7 +175,7 @@ class ContactProblem:
     @property
     def n_factorisations(self) -> int:
         """How often the tangent has been assembled and factorised."""
-        return 0 if self._linear is None else self._linear.n_factorisations
+        return 0 if self._system.linear is None else self._linear.n_factorisations
 
     def reactions(self, unknown: fem.Function) -> fem.Function:
         """Return what the supports do: the residual at prescribed unknowns, zero elsewhere.
@@ -192,6 +206,8 @@ class ContactProblem:
             if coupling.pair is pair:
                 residual = self._raw.copy()
                 self.condensation.transmit(residual)
+                if isinstance(coupling, SlidingCoupling):
+                    return coupling.state(residual)
                 return coupling.state(self._current(), residual)
         raise ValueError(f"pair {pair.name} is none of this problem's")
 
@@ -271,20 +287,28 @@ class ContactProblem:
             np.concatenate([none, *(secondary for secondary, _ in numbers)]),
             self.layout,
         )
-        self._update_contact()
+        self.condensation.update(self._dependences)
         unknowns = self.condensation.unknowns
         self._film = scipy.sparse.csr_matrix((unknowns.size, unknowns.size))
         for coupling in tied:
             self._film = self._film + coupling.film(unknowns)
 
-    def _update_contact(self) -> None:
-        """Rebuild the transformation at the current state of the pairs."""
-        self.condensation.update([d for c in self._couplings for d in c.dependences()])
+    @property
+    def _dependences(self) -> list[Dependence]:
+        """How the unknowns of all pairs depend on each other, at the current state of the pairs."""
+        return [d for coupling in self._couplings for d in coupling.dependences]
 
     # --- the equations, as Newton's method sees them ------------------------------------------
 
-    def residual(self) -> None:
-        """Assemble the residual at the current state, as it is and condensed. Collective."""
+    def residual(self, damped: bool = False) -> None:
+        """Assemble the residual at the current state, as it is and condensed. Collective.
+
+        Args:
+            damped: Whether the last increment was not taken as a whole.
+
+        Raises:
+            FloatingPointError: If it is not a number, or a contact surface is folded.
+        """
         self._raw[:] = 0.0
         for view, form, terms in zip(
             self.layout.views(self._raw), self._vector_forms, self._vector_terms, strict=True
@@ -301,27 +325,28 @@ class ContactProblem:
         self._condensed[:] = self._raw
         if not self._couplings:
             return
-        current = self._current()
+        current, condensation = self._current(), self.condensation
         if self._sliding:
             self._assemble_tangent()
+            try:
+                for coupling in self._sliding:
+                    coupling.place(current)
+            except ValueError as error:
+                raise FloatingPointError(str(error)) from error
+            condensation.couple(self._dependences)
+            transmitted = self._raw.copy()
+            condensation.transmit(transmitted)
             for coupling in self._sliding:
-                coupling.update(current, self._raw, self._diagonal, self._moved)
-            self._update_contact()
-        condensation = self.condensation
+                coupling.update(transmitted, self._diagonal, self._moved, damped)
+            condensation.constrain(self._dependences)
         added = condensation.offset
         if self._film.nnz:
             added = added + self._dt() * (self._film @ condensation.relative(current))
         condensation.condense(self._condensed, added)
 
-    def increment(self) -> npt.NDArray[np.float64]:
-        """Assemble the tangent where it has changed, solve, and add the increment. Collective.
-
-        Returns:
-            Increment of the owned condensed unknowns.
-        """
+    def increment(self) -> None:
+        """Assemble the tangent where it has changed, solve, and add the increment. Collective."""
         self._update_tangent()
-        linear = self._linear
-        assert linear is not None
         prescribed = self._dirichlet_increment()
         lifted = self._condensed.copy()
         moved = prescribed.copy()
@@ -336,30 +361,72 @@ class ContactProblem:
             lifted += change
         owned = self.layout.owned
         b = np.where(self._free, -lifted[owned], prescribed[owned])
-        increment = linear.solve(b)
+        try:
+            increment = self._linear.solve(b)
+        except SingularSystemError as error:
+            motions = free_motions(self, self._domain)
+            raise SingularSystemError("; ".join(motions) or str(error)) from error
         full = np.zeros(self.layout.n_local)
         full[owned] = increment
         self.layout.update_ghosts(full)
         if self._couplings:
             self.condensation.expand(full)
-        for u, view in zip(self.unknowns, self.layout.views(full), strict=True):
-            u.x.array[:] += view
+        self._increment = full
+        self.move(1.0)
         self._moved = True
-        return increment
+
+    def move(self, part: float) -> None:
+        """Add a part of the last increment once more; a negative one takes it back."""
+        for u, view in zip(self.unknowns, self.layout.views(self._increment), strict=True):
+            u.x.array[:] += part * view
 
     def scaled_residuals(self) -> list[float]:
         """Norm of the scaled residual of each field, free unknowns only. Collective."""
-        assert self._linear is not None
         r = np.where(self._free, self._linear.scale * self._condensed[self.layout.owned], 0.0)
         squares = np.bincount(self.layout.field_of_owned(), r**2, len(self.unknowns))
         return [float(x) for x in np.sqrt(self.comm.allreduce(squares))]
 
-    def scaled_norms(self, increment: npt.NDArray[np.float64]) -> tuple[float, float]:
-        """Norms of a scaled increment and of the scaled unknowns, free ones only. Collective."""
-        assert self._linear is not None
+    def hold(self) -> None:
+        """Hold the bounds of friction, after a move towards those of the present pressures."""
+        for coupling in self._sliding:
+            coupling.hold()
+
+    def release(self) -> None:
+        """Let the bounds of friction follow the pressures again."""
+        for coupling in self._sliding:
+            coupling.release()
+
+    @property
+    def reach(self) -> float:
+        """Part of the last increment that moves no node of a sliding pair by more than a facet."""
+        return min((coupling.reach(self._increment) for coupling in self._sliding), default=1.0)
+
+    def violation(self, held: bool = True) -> float:
+        """Norm of the scaled residual as a continuous function of the state, over all sets.
+
+        Contact and friction count by what complements each other. Collective.
+
+        Args:
+            held: Whether held bounds of friction count, or those of the pressures.
+        """
+        residual = self._condensed[self.layout.owned]
+        for coupling in self._sliding:
+            numbers, values = coupling.violations(held)
+            mine = self.layout.owns(numbers)
+            residual[numbers[mine] - self.layout.first] = values[mine]
+        r = np.where(self._free, self._linear.scale * residual, 0.0)
+        return float(np.sqrt(self.comm.allreduce(np.sum(r**2))))
+
+    def contacts(self) -> dict[str, dict[str, int]]:
+        """Number of secondary nodes in each state, by pair; of pairs that are not tied."""
+        return {coupling.pair.name: coupling.counts() for coupling in self._sliding}
+
+    def scaled_norms(self) -> tuple[float, float]:
+        """Norms of the scaled change in the step and of the scaled unknowns. Collective."""
         current = self._current()[self.layout.owned]
+        change = current - self._start[self.layout.owned]
         pair = np.array(
-            [np.sum((x / self._linear.scale)[self._free] ** 2) for x in (increment, current)]
+            [np.sum((x / self._linear.scale)[self._free] ** 2) for x in (change, current)]
         )
         size, state = np.sqrt(self.comm.allreduce(pair))
         # What supports carry, in the units of scaled residuals: a state may be all stress.
@@ -375,8 +442,18 @@ class ContactProblem:
         )
         scales, counts, squares = self.comm.allreduce(sums)
         forces = np.sqrt(squares) * scales / np.maximum(counts, 1.0)
-        self._largest_force = max(self._largest_force, float(forces.max()))
-        return float(size), max(float(state), self._largest_force)
+        return float(size), max(float(state), float(forces.max()))
+
+    @property
+    def _free(self) -> npt.NDArray[np.bool_]:
+        """Owned unknowns that are neither prescribed nor closed for good."""
+        return self._system.free
+
+    @property
+    def _linear(self) -> LinearSolver:
+        """Solver with the last tangent."""
+        assert self._system.linear is not None
+        return self._system.linear
 
     def _added_matrix(self) -> scipy.sparse.csr_array:
         """What contact and films add to the condensed matrix at the touched unknowns."""
@@ -433,69 +510,8 @@ class ContactProblem:
     def _update_tangent(self) -> None:
         """Assemble and factorise, unless nothing the matrix depends on has changed."""
         changed = self._assemble_tangent()
-        if changed or self._sliding or self._linear is None:
-            if self._sliding or self._linear is None:
-                self._lay_out()
-            self._set_condensed_values()
-            assert self._linear is not None
-            self._linear.set_values(self._matrix.values)
-
-    def _lay_out(self) -> None:
-        """Lay out the condensed matrix: entries of K, of condensation, of films and identity."""
-        layout, condensation = self.layout, self.condensation
-        touched = condensation.gather(self._constrained.astype(float)) > 0.0
-        fixed = touched | condensation.closed
-        rows, columns = self._matrix.entries()
-        slots = condensation.slots
-        involved = np.flatnonzero((slots[rows] >= 0) | (slots[columns] >= 0))
-        factor, source, extra_rows, extra_columns = condensation.matrix_entries(
-            rows[involved], columns[involved], self._constrained, fixed
-        )
-        keep = ~(self._constrained | (slots >= 0))
-        dropped = ~(keep[rows] & keep[columns])
-        rows, columns = layout.global_index[rows], layout.global_index[columns]
-        rows[dropped] = -1
-        columns[dropped] = -1
-
-        added = self._added_matrix().tocoo()
-        free_entry = ~(fixed[added.row] | fixed[added.col])
-        free_entry &= layout.owns(condensation.unknowns[added.row])
-        added_rows = condensation.unknowns[added.row[free_entry]]
-        added_columns = condensation.unknowns[added.col[free_entry]]
-
-        self._free = ~self._constrained[layout.owned]
-        closed = condensation.unknowns[condensation.closed]
-        closed = closed[layout.owns(closed)]
-        self._free[closed - layout.first] = False
-        identity = layout.first + np.flatnonzero(~self._free)
-
-        self._extra = (involved[source], factor, free_entry, identity.size)
-        extra = (
-            np.concatenate((extra_rows, added_rows, identity)).astype(np.int32),
-            np.concatenate((extra_columns, added_columns, identity)).astype(np.int32),
-        )
-        same = self._linear is not None and all(map(np.array_equal, extra, self._pattern))
-        if self.comm.allreduce(not same):
-            self._pattern = extra
-            self._matrix.reserve(extra[0].size)
-            self._linear = LinearSolver(
-                self.comm,
-                layout.owned.size,
-                np.concatenate((rows, extra[0])).astype(np.int32),
-                np.concatenate((columns, extra[1])).astype(np.int32),
-                self._petsc_options,
-            )
-
-    def _set_condensed_values(self) -> None:
-        source, factor, added, n_identity = self._extra
-        added = self._added_matrix().tocoo().data[added]
-        first = self._matrix.n_entries
-        values = self._matrix.values
-        values[first : first + source.size] = factor * values[source]
-        first += source.size
-        values[first : first + added.size] = added
-        first += added.size
-        values[first : first + n_identity] = 1.0
+        if changed or self._sliding or self._system.linear is None:
+            self._system.set_values(self._added_matrix())
 
     def _field(self, unknown: fem.Function) -> int:
         for field, u in enumerate(self.unknowns):

@@ -4,25 +4,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 from dolfinx import fem
+from scipy.sparse import csr_array, diags_array
 
 from .contact import (
     ContactPair,
     ContactStatus,
     Dependence,
+    GeometryDerivatives,
+    HeldBound,
     InterfaceState,
+    Kinematics,
     MortarOperator,
+    NodeState,
+    complementarity,
     gather_surface,
-    geometry_derivatives,
-    mortar_operator,
-    mortar_segments,
     surface_dofs,
     tangential_law,
 )
+from .gap_flow import GapPressure
 from .solvers import FieldLayout
 
 Float = npt.NDArray[np.float64]
@@ -32,6 +37,12 @@ SOFTER = 0.1
 
 TOUCHING = 1e-9
 """A gap below this part of a facet is closed at the start."""
+
+RELAXATION = 0.5
+"""Part by which held bounds of friction first move towards the present ones."""
+
+ROUND_OFF = 1e2 * float(np.finfo(np.float64).eps)
+"""Round-off of gaps and slips, relative to the coordinates."""
 
 
 class SlidingCoupling:
@@ -45,8 +56,10 @@ class SlidingCoupling:
 
     Attributes:
         pair: The pair.
+        kinematics: Its surfaces at their current place.
         status: Closed and slipping nodes.
         settled: Whether the last update left the sets as they were.
+        dependences: How secondary unknowns depend on others, and the conditions of contact.
 
     Raises:
         ValueError: If the pair fits neither the fields nor the conditions; it names the pair.
@@ -67,236 +80,444 @@ class SlidingCoupling:
         self.pair = pair
         self._law = tangential_law(pair.friction)
         self._layout = layout
-        fields = [f for f, size in enumerate(layout.block_sizes) if size == 2]
-        if len(fields) != 1:
-            raise ValueError(f"pair {pair.name}: contact needs one displacement, not {len(fields)}")
-        u = unknowns[fields[0]]
-        mesh, space = u.function_space.mesh, u.function_space
-        if space.element.basix_element.degree != 1:
-            raise ValueError(f"pair {pair.name}: contact needs P1 fields, {u.name} is none")
-        if pair.flow is not None:
-            raise ValueError(
-                f"pair {pair.name}: water between surfaces that slide is not there yet"
-            )
-        self._rest = [
+        u = _field(pair, unknowns, layout, 2, "displacement")
+        mesh = unknowns[u].function_space.mesh
+        secondary, primary = self._surfaces = tuple(
             gather_surface(mesh, pair.facet_tags, tag, str(tag))
             for tag in (pair.secondary, pair.primary)
-        ]
+        )
+        fields = [u]
+        if pair.flow is not None:
+            fields.append(_field(pair, unknowns, layout, 1, "pore pressure"))
+        # Secondary and primary unknowns of the displacement, then of the pore pressure
         self._dofs = [
-            layout.global_of_blocks(fields[0], surface_dofs(surface, space)).ravel()
-            for surface in self._rest
+            layout.global_of_blocks(f, surface_dofs(s, unknowns[f].function_space)).ravel()
+            for f in fields
+            for s in self._surfaces
         ]
-        marks = layout.gather(self._dofs[0], constrained.astype(float)).reshape(-1, 2) > 0.0
-        self._dropped = marks.any(axis=1)
-        if self._dropped.all():
+        marks = constrained.astype(float)
+        dropped = layout.gather(self._dofs[0], marks).reshape(-1, 2).any(axis=1)
+        if dropped.all():
             raise ValueError(
                 f"pair {pair.name}: the secondary surface is prescribed at all its nodes; swap "
                 "secondary and primary"
             )
-        self.status = ContactStatus.open(len(self._dropped))
-        self.settled = True
-        self._committed = self.status
         current = np.concatenate([v.x.array for v in unknowns])
-        self._start = self._displacements(current)
-        self._place(current)
-        size = self._rest[0].lengths.max()
-        closed = self._operator.kept & (self._gap() <= TOUCHING * size)
-        self.status.closed = closed
-        self._dependence: Dependence | None = None
+        displacements = self._displacements(current)
+        self.kinematics = Kinematics(pair, secondary, primary, dropped, displacements)
+        self._prescribed = np.zeros(len(dropped), bool)
+        if pair.flow is not None:
+            self._prescribed = layout.gather(self._dofs[2], marks) > 0.0
+        gap, kept = self.kinematics.gap(), self.kinematics.operator.kept
+        self._check_overlap(gap)
+        self.status = ContactStatus.open(len(dropped))
+        self.status.closed = kept & (gap <= TOUCHING * self._surfaces[0].lengths.max())
+        self.settled = True
+        self._held: HeldBound | None = None
+        self._last_slip = self.kinematics.slip()
+        self._committed = self.status
+        self.place(current)
 
     def numbers(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Global numbers of the unknowns on the secondary and on the primary surface."""
-        return self._dofs[0], self._dofs[1]
+        return np.concatenate(self._dofs[::2]), np.concatenate(self._dofs[1::2])
 
-    def dependences(self) -> list[Dependence]:
-        """How the secondary unknowns depend on others, and the conditions of contact."""
-        return [] if self._dependence is None else [self._dependence]
+    def counts(self) -> dict[str, int]:
+        """Number of open, sticking and slipping nodes."""
+        status, kept = self.status, self.kinematics.operator.kept
+        if self._law is None:
+            return {"open": int((kept & ~status.closed).sum()), "closed": int(status.closed.sum())}
+        return {
+            "open": int((kept & ~status.closed).sum()),
+            "sticking": int(status.sticking.sum()),
+            "slipping": int(status.slipping.sum()),
+        }
 
-    def commit(self, current: Float) -> None:
-        """Take the state as the start of the next step. Collective."""
-        self._start = self._displacements(current)
+    def violations(self, held: bool) -> tuple[npt.NDArray[np.int64], Float]:
+        """By how much contact and friction are violated, in place of the condensed residual.
+
+        Args:
+            held: Whether held bounds of friction count, or those of the pressures.
+
+        Returns:
+            Global numbers of the relative displacements, and forces [N/m]; shapes (2k,).
+        """
+        kept = self.kinematics.operator.kept
+        numbers = self._dofs[0].reshape(-1, 2)[kept]
+        return numbers.ravel(), np.column_stack(self._violations[0 if held else 1])[kept].ravel()
+
+    def reach(self, increment: Float) -> float:
+        """Part of an increment that moves no node by more than a facet; at most 1. Collective.
+
+        Args:
+            increment: Local array.
+        """
+        moves = np.concatenate(self._displacements(increment))
+        longest = float(np.hypot(*moves.T).max())
+        facet = max(float(surface.lengths.max()) for surface in self._surfaces)
+        return min(1.0, facet / longest) if longest > 0.0 else 1.0
+
+    def hold(self) -> None:
+        """Hold the bounds of friction, after a move towards those of the present pressures.
+
+        Friction of given bounds has one solution, which Newton's method finds; the bounds follow
+        with the relaxation of Aitken (Kuettler and Wall 2008).
+        """
+        if self._law is None:
+            return
+        bound = self._law.bound(np.maximum(self._pressure, 0.0))[0]
+        if self._held is None:
+            self._held, self._relaxation, self._missing = HeldBound(bound), RELAXATION, None
+            return
+        missing = bound - self._held.values
+        if self._missing is not None and self.settled:
+            change = missing - self._missing
+            size = float(change @ change)
+            if size > 0.0:
+                ratio = -float(self._missing @ change) / size
+                self._relaxation = float(np.clip(self._relaxation * ratio, 0.1, 1.0))
+        self._missing = missing if self.settled else None
+        self._held = HeldBound(self._held.values + self._relaxation * missing)
+
+    def release(self) -> None:
+        """Let the bounds of friction follow the pressures again."""
+        self._held = None
+
+    def commit(self) -> None:
+        """Take the current state as the start of the next step."""
+        self._last_slip = self.kinematics.slip()
+        self.kinematics.start_step()
         self._committed = self.status
 
     def reset(self) -> None:
         """Go back to the sets of the start of the step."""
         self.status = self._committed
 
-    def update(self, current: Float, residual: Float, diagonal: Float, new_sets: bool) -> None:
-        """Follow the surfaces, decide on the sets, and write the conditions down. Collective.
+    def place(self, current: Float) -> None:
+        """Follow the surfaces, and couple them where they are. Collective.
 
         Args:
             current: Local array of the unknowns.
-            residual: Local array of the residual, as assembled and not condensed.
+        """
+        self.kinematics.place(self._displacements(current))
+        self._water = self._water_between(current)
+        self._couple()
+
+    def update(
+        self, residual: Float, diagonal: Float, new_sets: bool = True, damped: bool = False
+    ) -> None:
+        """Decide on the sets, and write the conditions down. Collective.
+
+        Args:
+            residual: Local array of the residual with what surfaces pass on to each other.
             diagonal: Local array of the diagonal of the tangent.
             new_sets: Whether the sets may change.
+            damped: Whether the last step was not a whole one.
         """
-        self._place(current)
-        operator, normals = self._operator, self._secondary.normals
+        force, traction = self._tractions(residual)
+        operator, normals = self.kinematics.operator, self.kinematics.secondary.normals
         kept, D = operator.kept, operator.D
-        self._force = self._layout.gather(self._dofs[0], residual).reshape(-1, 2)
-        self._force[~kept] = 0.0
-        traction = np.zeros_like(self._force)
-        np.divide(self._force, D[:, None], out=traction, where=kept[:, None])
-        stiffness = self._layout.gather(self._dofs[0], diagonal).reshape(-1, 2).mean(axis=1)
-        per_area = np.divide(stiffness, D, out=np.ones(len(D)), where=kept)
         tangents = _turned(normals)
+        stiffness, opposite = (
+            self._layout.gather(dofs, diagonal).reshape(-1, 2).mean(axis=1)
+            for dofs in self._dofs[:2]
+        )
         pressure, shear = _dot(traction, normals), _dot(traction, tangents)
-        gap, slip = self._gap(), _dot(self._slip(), tangents)
-        before = self.status
+        gap, slip = self.kinematics.gap(), _dot(self.kinematics.slip(), tangents)
+        before, constant = self.status, SOFTER * self._bedding(stiffness, opposite)
+        self._pressure = pressure
+        law = self._law if self._held is None else self._held
+        state = pressure, shear, gap, slip, (constant, constant)
+        self._violations = [
+            [kept * D * value for value in complementarity(*state, some)]
+            for some in (law, self._law)
+        ]
         if new_sets:
-            constant = SOFTER * per_area
-            self.status = before.updated(
-                kept, pressure, shear, gap, slip, (constant, constant), self._law
-            )
-        elif self._law is None:
-            self.status = ContactStatus(
-                before.closed & kept, before.slipping & False, before.direction
-            )
+            self.status = before.updated(kept, *state, law, damped)
+        else:
+            self.status = before.restricted(kept, self._law)
         self.settled = self.status.same(before)
-        self._dependence = self._conditions(pressure, gap, slip, stiffness, traction)
+        # What closes just now has a pressure only on trial.
+        trial_pressure = np.where(before.closed, pressure, pressure - constant * gap)
+        self._constrain(force, np.maximum(trial_pressure, 0.0), stiffness)
+        if self._water is not None:
+            self._tie_pressures(residual, diagonal)
 
-    def state(self, current: Float, residual: Float) -> InterfaceState:
-        """Tractions at the secondary nodes; there is no water. Collective.
+    def state(self, residual: Float) -> InterfaceState:
+        """What acts between the surfaces (Eq. 71). Collective.
 
         Args:
-            current: Local array of the unknowns.
             residual: Local array of the residual with what surfaces pass on to each other.
         """
-        self._place(current)
-        kept, normals = self._operator.kept, self._secondary.normals
-        force = self._layout.gather(self._dofs[0], residual).reshape(-1, 2)
-        traction = np.full_like(force, np.nan)
-        np.divide(force, self._operator.D[:, None], out=traction, where=kept[:, None])
+        kinematics, operator = self.kinematics, self.kinematics.operator
+        force, traction = self._tractions(residual)
+        normals, kept = kinematics.secondary.normals, operator.kept
+        unpaired = np.where(kept, 0.0, np.nan)
         zero = np.zeros(len(kept))
+        water = self._water
+        closed, slipping = self.status.closed & kept, self.status.slipping
+        slides = slipping if self._law is not None else closed
+        state = np.where(closed, np.where(slides, NodeState.SLIPPING, NodeState.STICKING), 0)
         return InterfaceState(
-            self._secondary.points,
+            kinematics.points[0],
             normals,
-            _dot(traction, normals),
-            _dot(traction, _turned(normals)),
-            zero,
-            zero,
+            _dot(traction, normals) + unpaired,
+            _dot(traction, _turned(normals)) + unpaired,
+            zero if water is None else water.mean,
+            zero if water is None else water.drop,
+            kinematics.gap() + unpaired,
+            _dot(self._last_slip, _turned(normals)),
+            np.where(kept, state, NodeState.UNPAIRED).astype(np.int8),
+            operator.D,
+            force + operator.C.T @ force,
+            kinematics.points[1],
+            -(operator.H.T @ force),
         )
 
-    # --- geometry ----------------------------------------------------------------------------
+    # --- what acts ---------------------------------------------------------------------------
 
-    def _displacements(self, current: Float) -> list[Float]:
-        return [self._layout.gather(dofs, current).reshape(-1, 2) for dofs in self._dofs]
-
-    def _place(self, current: Float) -> None:
-        """Put the surfaces where the displacements are, and couple them there."""
-        self._u = self._displacements(current)
-        self._points = [surface.points + u for surface, u in zip(self._rest, self._u, strict=True)]
-        if self.pair.motion == "small" and hasattr(self, "_operator"):
-            return
-        follow = self.pair.motion == "finite"
-        self._secondary, self._primary = (
-            surface.at(points) if follow else surface
-            for surface, points in zip(self._rest, self._points, strict=True)
+    def _displacements(self, current: Float) -> tuple[Float, Float]:
+        secondary, primary = (
+            self._layout.gather(dofs, current).reshape(-1, 2) for dofs in self._dofs[:2]
         )
-        self._segments = mortar_segments(self._secondary, self._primary, self.pair.mortar)
-        self._operator: MortarOperator = mortar_operator(
-            self._secondary, self._primary, self._segments, self._dropped, self.pair.mortar
-        )
+        return secondary, primary
 
-    def _between(self, secondary: Float, primary: Float) -> Float:
-        """Nodal values of the secondary less those of the primary surface; shape (n_s, 2)."""
-        operator = self._operator
-        values = secondary + operator.C @ secondary - operator.H @ primary
-        return np.where(operator.kept[:, None], values, 0.0)
+    def _water_between(self, current: Float) -> GapPressure | None:
+        if self.pair.flow is None:
+            return None
+        secondary, primary = (self._layout.gather(dofs, current) for dofs in self._dofs[2:])
+        return GapPressure(self.kinematics, self._prescribed, secondary, primary)
 
-    def _gap(self) -> Float:
-        """Weighted gap [m] (Eq. 70), positive where open; shape (n_s,)."""
-        return _dot(self._between(*self._points), self._secondary.normals)
+    def _tractions(self, residual: Float) -> tuple[Float, Float]:
+        """Forces [N/m] and effective tractions [Pa] of kept nodes, zero at others; (n_s, 2)."""
+        kept, D = self.kinematics.operator.kept, self.kinematics.operator.D
+        # The residual is internal less external force: what the primary does to the secondary,
+        # solid and water together.
+        force = self._layout.gather(self._dofs[0], residual).reshape(-1, 2)
+        force[~kept] = 0.0
+        solid = force
+        if self._water is not None:
+            solid = force - self._water.force[:, None] * self.kinematics.secondary.normals
+        traction = np.zeros_like(force)
+        np.divide(solid, D[:, None], out=traction, where=kept[:, None])
+        return force, traction
 
-    def _slip(self) -> Float:
-        """Relative displacement since the start of the step [m]; shape (n_s, 2)."""
-        return self._between(*(u - start for u, start in zip(self._u, self._start, strict=True)))
+    def _bedding(self, secondary: Float, primary: Float) -> Float:
+        """Stiffness of both surfaces in series [Pa/m], from that of single nodes [Pa]; (n_s,)."""
+        operator, surface = self.kinematics.operator, self.kinematics.primary
+        length = np.bincount(surface.edges.ravel(), np.repeat(surface.lengths / 2.0, 2))
+        # Weights of dual shape functions may be negative; a mean must not be.
+        weights = abs(operator.H)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            give = operator.D / secondary
+            give = give + weights @ (length / primary) / weights.sum(axis=1)
+            return np.where(operator.kept & np.isfinite(give), 1.0 / give, 1.0)
+
+    def _check_overlap(self, gap: Float) -> None:
+        surface, operator = self._surfaces[0], self.kinematics.operator
+        size = np.zeros(len(gap))
+        for end in range(2):
+            np.maximum.at(size, surface.edges[:, end], surface.lengths)
+        deepest = int(np.argmin(np.where(operator.kept, gap / size, 0.0)))
+        if operator.kept[deepest] and gap[deepest] < -size[deepest]:
+            x, y = surface.points[deepest]
+            raise ValueError(
+                f"pair {self.pair.name}: the surfaces overlap by {-gap[deepest]:.3g} m at "
+                f"({x:.6g}, {y:.6g}), more than a facet; move the bodies apart, lower "
+                "MortarOptions.search_radius if that is another part of the body, or allow for it "
+                "with close_gaps"
+            )
 
     # --- conditions --------------------------------------------------------------------------
 
-    def _conditions(
-        self, pressure: Float, gap: Float, slip: Float, stiffness: Float, traction: Float
-    ) -> Dependence:
-        """Rows of Eq. 69, corrected, in the relative displacements of the kept nodes."""
-        operator, status = self._operator, self.status
-        normals = self._secondary.normals
-        tangents = _turned(normals)
-        bound, slope = np.zeros_like(gap), np.zeros_like(gap)
-        if self._law is not None:
-            bound, slope = self._law.bound(np.maximum(pressure, 0.0))
-        slipping, sticking = status.slipping, status.sticking & (self._law is not None)
-        sign = np.where(slipping, status.direction, 0.0)
-        tests = tangents + (sign * slope)[:, None] * normals
-        # What the bound has beyond its slope at this pressure: cohesion.
-        rest = sign * (bound - slope * np.maximum(pressure, 0.0))
+    def _couple(self) -> None:
+        """Write down how secondary unknowns depend on others, without conditions."""
+        kinematics = self.kinematics
+        numbers = np.concatenate(self._dofs)
+        kept = np.repeat(kinematics.operator.kept, 2)
+        X = scipy.sparse.kron(_coupling(kinematics.operator), scipy.sparse.eye_array(2)).tocsr()
+        self.dependences = [_dependence(numbers, np.flatnonzero(kept), X[kept], 0)]
+        if self._water is not None:
+            first = sum(map(len, self._dofs[:2]))
+            related = self._water.related
+            X = _coupling(kinematics.pressures)[related]
+            self.dependences.append(_dependence(numbers, np.flatnonzero(related), X, first))
 
-        kept = np.flatnonzero(operator.kept)
-        rows = (2 * kept[:, None] + np.arange(2)).ravel()
-        coupling = scipy.sparse.hstack((-operator.C, operator.H)).tocsr()
-        coefficients = scipy.sparse.kron(coupling, scipy.sparse.eye_array(2), format="csr")[rows]
+    def _constrain(self, force: Float, pressure: Float, stiffness: Float) -> None:
+        """Rows of Eq. 69, corrected, in the relative displacements of the kept nodes."""
+        kinematics, status, water = self.kinematics, self.status, self._water
+        operator, normals = kinematics.operator, kinematics.secondary.normals
+        tangents = _turned(normals)
+        bound, slope = np.zeros_like(pressure), np.zeros_like(pressure)
+        law = self._law if self._held is None else self._held
+        if law is not None:
+            bound, slope = law.bound(pressure)
+        sticking = status.sticking & (self._law is not None)
+        sign = np.where(status.slipping, status.direction, 0.0)
+        friction = sign * slope
+        tests = tangents + friction[:, None] * normals
+        # What the bound has beyond its slope at this pressure: cohesion.
+        rest = sign * (bound - slope * pressure)
+
+        gap, slip = _significant(kinematics, kinematics.gap(), _dot(kinematics.slip(), tangents))
+        # The multiplier is that of the solid: what the water carries is taken off the rows.
+        carried = np.zeros_like(gap) if water is None else water.force
         constraint = np.where(np.column_stack((status.closed, sticking)), stiffness[:, None], 0.0)
         values = np.column_stack(
-            (np.where(status.closed, gap, 0.0), np.where(sticking, slip, rest * operator.D))
+            (
+                np.where(status.closed, gap, -carried),
+                np.where(sticking, slip, rest * operator.D - friction * carried),
+            )
         )
-        return Dependence(
-            np.concatenate(self._dofs),
-            rows,
-            coefficients,
-            np.zeros(rows.size, bool),
-            _frames(normals[kept], tangents[kept]),
-            _frames(normals[kept], tests[kept]),
-            constraint[kept].ravel(),
-            values[kept].ravel(),
-            self._geometry(constraint, sign * slope, rest, traction),
+        kept = np.flatnonzero(operator.kept)
+        rows = self._row_derivatives(constraint, friction, rest, force)
+        self.dependences[0] = replace(
+            self.dependences[0],
+            frame=_frames(normals[kept], tangents[kept]),
+            test_frame=_frames(normals[kept], tests[kept]),
+            stiffness=constraint[kept].ravel(),
+            values=values[kept].ravel(),
+            derivative=_interleaved(*(of_rows[kept] for of_rows in rows)),
+            transmitted=self._transmitted(kinematics.derivatives, operator.D, force, 0),
         )
 
-    def _geometry(
-        self, constraint: Float, friction: Float, rest: Float, traction: Float
-    ) -> scipy.sparse.csr_array | None:
-        """Derivative of all rows through normals, tangents and the mortar coupling."""
-        if not self.pair.linearised or self.pair.motion == "small":
-            return None
-        operator = self._operator
-        d = geometry_derivatives(self._secondary, self._primary, self._segments, operator)
-        normals = self._secondary.normals
-        tangents = _turned(normals)
-        n, n_x = len(normals), d.D.shape[1]
-        between = self._between(*self._points)
-        of_gap = d.relative(*self._points)
-        moved = [u - start for u, start in zip(self._u, self._start, strict=True)]
-        of_slip = d.relative(*moved)
-
-        def along(vectors: Float, derivative: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
-            """Rows sum_a vectors_ia derivative_(2i+a)."""
-            return _rows(vectors) @ derivative
-
+    def _row_derivatives(
+        self, constraint: Float, friction: Float, rest: Float, force: Float
+    ) -> tuple[csr_array, csr_array]:
+        """Derivatives of normal and tangential rows through geometry and water; (n_s, m) each."""
+        kinematics, water = self.kinematics, self._water
+        normals = kinematics.secondary.normals
+        shape = len(normals), sum(map(len, self._dofs))
         closed, stick = (constraint > 0.0).T
         k_n, k_t = constraint.T
-        force = np.where(operator.kept[:, None], self._force, 0.0)
-        normal_rows = along(k_n[:, None] * between, d.normals)
-        normal_rows = normal_rows + along(k_n[:, None] * normals, of_gap)
-        normal_rows = normal_rows + along(np.where(closed[:, None], 0.0, force), d.normals)
-        # d tau . f = d n . f turned back
-        tangent_rows = along(k_t[:, None] * _turned_back(self._slip()), d.normals)
-        tangent_rows = tangent_rows + along(k_t[:, None] * tangents, of_slip)
-        slide = np.where(stick[:, None], 0.0, _turned_back(force) + friction[:, None] * force)
-        tangent_rows = tangent_rows + along(slide, d.normals)
-        tangent_rows = tangent_rows + scipy.sparse.diags_array(rest) @ d.D
+        free = np.where(stick, 0.0, friction)
+        of_normals = of_tangents = csr_array(shape)
+        d = kinematics.derivatives
+        if d is not None:
+            between = kinematics.between(*kinematics.points)
+            pull = k_n[:, None] * between + np.where(closed[:, None], 0.0, force)
+            of_gap = d.relative(*kinematics.points)
+            of_normals = _rows(pull) @ d.normals + _rows(k_n[:, None] * normals) @ of_gap
+            of_normals = _placed(of_normals, shape)
+            # d tau . f = d n . f turned back
+            pull = np.where(stick[:, None], k_t[:, None] * kinematics.slip(), force)
+            pull = _turned_back(pull) + free[:, None] * force
+            of_slip = d.relative(*kinematics.moved)
+            of_tangents = _rows(k_t[:, None] * _turned(normals)) @ of_slip
+            of_tangents = of_tangents + _rows(pull) @ d.normals + diags_array(rest) @ d.D
+            of_tangents = _placed(of_tangents, shape)
+        if water is not None:
+            carried = _placed(water.force_weights, shape, column=self._first_pressure)
+            if d is not None and kinematics.pressure_derivatives is not None:
+                of_force = water.force_derivative(d, kinematics.pressure_derivatives)
+                carried = carried + _placed(of_force, shape)
+            of_normals = of_normals - diags_array((~closed).astype(float)) @ carried
+            of_tangents = of_tangents - diags_array(free) @ carried
+        return of_normals, of_tangents
 
-        kept = np.flatnonzero(operator.kept)
-        others = np.setdiff1d(np.arange(n_x), (2 * kept[:, None] + np.arange(2)).ravel())
-        select = scipy.sparse.csr_array((np.ones(others.size), (others, others)), shape=(n_x, n_x))
-        result = -(select @ d.forces(traction))
-        for axis, rows in enumerate((normal_rows, tangent_rows)):
-            place = scipy.sparse.csr_array(
-                (np.ones(kept.size), (2 * kept + axis, kept)), shape=(n_x, n)
-            )
-            result = result + place @ rows
-        return scipy.sparse.csr_array(result)
+    def _transmitted(
+        self, d: GeometryDerivatives | None, D: Float, force: Float, first: int
+    ) -> csr_array | None:
+        """Derivative of what secondary nodes pass on to others at fixed forces; shape (m, m)."""
+        if d is None:
+            return None
+        per_length = np.divide(force.T, D, out=np.zeros_like(force.T), where=D > 0.0).T
+        m = sum(map(len, self._dofs))
+        return _placed(-d.forces(per_length), (m, m), row=first)
+
+    def _tie_pressures(self, residual: Float, diagonal: Float) -> None:
+        """Make the pore pressure continuous where the solids touch: no drop (after Eq. 92)."""
+        kinematics, water, numbers = self.kinematics, self._water, self._dofs[2]
+        assert water is not None
+        stiffness = np.abs(self._layout.gather(numbers, diagonal))
+        stiffness = np.where(self._watertight(), stiffness, 0.0)
+        related = water.related
+        shape = len(related), sum(map(len, self._dofs))
+        d = kinematics.pressure_derivatives
+        derivative = csr_array(shape)
+        if d is not None:
+            of_drop = d.relative(*(values[:, None] for values in water.values))
+            derivative = _placed(diags_array(stiffness) @ of_drop, shape)
+        flow = np.where(related, self._layout.gather(numbers, residual), 0.0)[:, None]
+        self.dependences[1] = replace(
+            self.dependences[1],
+            stiffness=stiffness[related],
+            values=np.where(stiffness > 0.0, water.drop, 0.0)[related],
+            derivative=derivative[related],
+            transmitted=self._transmitted(d, kinematics.pressures.D, flow, self._first_pressure),
+        )
+
+    def _watertight(self) -> npt.NDArray[np.bool_]:
+        """Nodes without a gap: closed, or prescribed beside a closed one; shape (n_s,)."""
+        closed = self.status.closed & self.kinematics.operator.kept
+        beside = np.zeros_like(closed)
+        edges = self._surfaces[0].edges
+        for end in range(2):
+            beside[edges[closed[edges[:, end]], 1 - end]] = True
+        return closed | (beside & ~self.kinematics.operator.kept)
+
+    @property
+    def _first_pressure(self) -> int:
+        """Position of the first pore pressure among the unknowns of the pair."""
+        return len(self._dofs[0]) + len(self._dofs[1])
+
+
+def _field(
+    pair: ContactPair,
+    unknowns: Sequence[fem.Function],
+    layout: FieldLayout,
+    size: int,
+    name: str,
+) -> int:
+    """Number of the one field of that size."""
+    fields = [f for f, block_size in enumerate(layout.block_sizes) if block_size == size]
+    if len(fields) != 1:
+        reason = "contact" if size == 2 else "its flow law"
+        raise ValueError(f"pair {pair.name}: {reason} needs one {name}, not {len(fields)}")
+    u = unknowns[fields[0]]
+    degree = u.function_space.element.basix_element.degree
+    if degree != 1:
+        raise ValueError(
+            f"pair {pair.name}: contact needs P1 fields, {u.name} is of degree {degree}"
+        )
+    return fields[0]
+
+
+def _significant(kinematics: Kinematics, *lengths: Float) -> list[Float]:
+    """Gaps and slips without the round-off of the coordinates, which stiff bodies would feel."""
+    size = max(float(np.abs(points).max()) for points in kinematics.points)
+    return [np.where(np.abs(x) > ROUND_OFF * size, x, 0.0) for x in lengths]
+
+
+def _dependence(
+    numbers: npt.NDArray[np.int64], secondary: npt.NDArray[np.intp], X: csr_array, first: int
+) -> Dependence:
+    """Dependence of secondary unknowns; positions count from the field's first unknown."""
+    coefficients = _placed(X, (secondary.size, numbers.size), column=first)
+    return Dependence(numbers, first + secondary, coefficients, np.zeros(secondary.size, bool))
+
+
+def _coupling(operator: MortarOperator) -> csr_array:
+    """Rows of X of both surfaces' nodes; shape (n_s, n_s + n_m)."""
+    return scipy.sparse.hstack((-operator.C, operator.H), format="csr")
+
+
+def _placed(matrix: csr_array, shape: tuple[int, int], row: int = 0, column: int = 0) -> csr_array:
+    """Matrix of a larger shape with the entries from that row and column on."""
+    entries = scipy.sparse.coo_array(matrix)
+    return csr_array((entries.data, (entries.row + row, entries.col + column)), shape=shape)
+
+
+def _interleaved(normal: csr_array, tangential: csr_array) -> csr_array:
+    """Rows of normals and tangents in turns; shape (2k, m)."""
+    k = normal.shape[0]
+    order = np.arange(2 * k).reshape(2, k).T.ravel()
+    return scipy.sparse.vstack((normal, tangential), format="csr")[order]
 
 
 def _dot(a: Float, b: Float) -> Float:
-    return np.sum(a * b, axis=1)
+    total: Float = np.einsum("ia,ia->i", a, b)
+    return total
 
 
 def _turned(normals: Float) -> Float:

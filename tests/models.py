@@ -102,7 +102,9 @@ class Elastic:
             for (name, i), value in fixed.items()
         ]
         self.pairs = contact_pairs(domain, pairs)
-        self.problem = hm.ContactProblem(self.F, self.u, bcs=bcs, pairs=self.pairs, **options)
+        self.problem = hm.ContactProblem(
+            self.F, self.u, bcs=bcs, pairs=self.pairs, domain=domain, **options
+        )
 
 
 class Porous:
@@ -204,10 +206,16 @@ def loads(domain, v, tractions):
 
 
 def contact_pairs(domain, pairs):
-    """Tied pairs from (secondary, primary, flow)."""
+    """Pairs from (secondary, primary, flow), tied, or with a friction law at the end."""
     return [
-        hm.ContactPair(domain.facet_tags, domain.surface(s), domain.surface(m), flow=flow)
-        for s, m, flow in pairs
+        hm.ContactPair(
+            domain.facet_tags,
+            domain.surface(s),
+            domain.surface(m),
+            *(law or [hm.Tied()]),
+            flow=flow,
+        )
+        for s, m, flow, *law in pairs
     ]
 
 

@@ -561,10 +561,17 @@ def test_no_solution_is_reported(comm):
 
 @pytest.mark.mpi
 def test_not_a_number_names_the_field(comm):
-    # The first increment leads where the logarithm is not defined.
-    _, problem = scalar_problem(comm, lambda p, q: (ufl.ln(p) + 3) * q * ufl.dx, 1.0)
+    _, problem = scalar_problem(comm, lambda p, q: (ufl.ln(p) + 3) * q * ufl.dx, -1.0)
     with pytest.raises(hm.ConvergenceError, match="residual of head is not a number"):
         problem.solve()
+
+
+@pytest.mark.mpi
+def test_a_step_to_where_there_is_no_residual_is_cut(comm):
+    # The first increment leads where the logarithm is not defined.
+    p, problem = scalar_problem(comm, lambda p, q: (ufl.ln(p) + 3) * q * ufl.dx, 1.0)
+    assert min(problem.solve().lengths) < 1.0
+    np.testing.assert_allclose(p.x.array, np.exp(-3.0), rtol=1e-9)
 
 
 @pytest.mark.mpi
@@ -575,16 +582,23 @@ def test_not_a_number_at_the_start_names_the_field(comm):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("kind", ["never held", "free to slide", "parted from the other"])
-def test_unsupported_body_is_reported(comm, kind):
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("never held", "bodies 'block_0' and 'block_1' together have no support.*x and y and turn"),
+        ("free to slide", "bodies 'block_0' and 'block_1' together.*can move along x$"),
+        ("parted from the other", "body 'block_1' has no support and no closed contact"),
+    ],
+)
+def test_unsupported_body_is_reported(comm, kind, message):
     domain = stack(comm, (4, 6))
-    if kind == "never held":
-        model = elastic(comm, domain=domain, fixed={})
-    elif kind == "free to slide":
-        model = elastic(comm, domain=domain, fixed={("bottom_0", 1): 0.0})
-    else:
-        model = elastic(comm, domain=domain, pairs=[])
-    with pytest.raises(RuntimeError, match="a body has no support"):
+    model = elastic(
+        comm,
+        domain=domain,
+        pairs=[] if kind.startswith("parted") else [("bottom_1", "top_0", None)],
+        fixed={"never held": {}, "free to slide": {("bottom_0", 1): 0.0}}.get(kind, BASE),
+    )
+    with pytest.raises(hm.SingularSystemError, match=message):
         model.problem.solve()
 
 

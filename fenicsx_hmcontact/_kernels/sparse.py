@@ -62,27 +62,24 @@ def expand_entries(
         global_index: Global number of each local unknown.
         constrained: Whether a local unknown is prescribed; its rows and columns are left out.
         slots: Row of W and T of each local unknown, -1 where they are the identity.
-        row_offsets: CSR offsets of the rows of W, columns of prescribed unknowns left out.
-        row_targets: Global columns of W.
+        row_offsets: CSR offsets of the rows of W.
+        row_targets: Global columns of W; -1 for what is left out.
         row_weights: Entries of W.
         column_offsets: The same of T.
         column_targets: The same of T.
         column_weights: The same of T.
 
     Returns:
-        Entry of K that each new entry stems from, its factor, its global row and column.
+        Entry of K that each new entry stems from, its factor, its global row and column, -1 for
+        both where it is left out.
     """
     count = 0
     for k in range(rows.size):
         r, c = slots[rows[k]], slots[columns[k]]
-        if r < 0 and c < 0:
-            continue
         n_r = row_offsets[r + 1] - row_offsets[r] if r >= 0 else int(not constrained[rows[k]])
-        n_c = (
-            column_offsets[c + 1] - column_offsets[c]
-            if c >= 0
-            else int(not constrained[columns[k]])
-        )
+        n_c = column_offsets[c + 1] - column_offsets[c] if c >= 0 else 1
+        if c < 0 and (r < 0 or constrained[columns[k]]):
+            n_c = 0
         count += n_r * n_c
     source = np.empty(count, np.int64)
     factor = np.empty(count)
@@ -91,18 +88,21 @@ def expand_entries(
     at = 0
     for k in range(rows.size):
         r, c = slots[rows[k]], slots[columns[k]]
-        if r < 0 and c < 0:
+        if (r < 0 and c < 0) or (r < 0 and constrained[rows[k]]):
             continue
-        if (r < 0 and constrained[rows[k]]) or (c < 0 and constrained[columns[k]]):
+        if c < 0 and constrained[columns[k]]:
             continue
         first_i, last_i = (row_offsets[r], row_offsets[r + 1]) if r >= 0 else (0, 1)
         first_j, last_j = (column_offsets[c], column_offsets[c + 1]) if c >= 0 else (0, 1)
         for i in range(first_i, last_i):
+            row = row_targets[i] if r >= 0 else global_index[rows[k]]
+            weight = row_weights[i] if r >= 0 else 1.0
             for j in range(first_j, last_j):
+                column = column_targets[j] if c >= 0 else global_index[columns[k]]
+                left_out = row < 0 or column < 0
                 source[at] = k
-                weight = row_weights[i] if r >= 0 else 1.0
                 factor[at] = weight * (column_weights[j] if c >= 0 else 1.0)
-                new_rows[at] = row_targets[i] if r >= 0 else global_index[rows[k]]
-                new_columns[at] = column_targets[j] if c >= 0 else global_index[columns[k]]
+                new_rows[at] = -1 if left_out else row
+                new_columns[at] = -1 if left_out else column
                 at += 1
     return source, factor, new_rows, new_columns

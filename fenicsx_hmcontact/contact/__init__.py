@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact surfaces, mortar coupling and condensation."""
 
-from .active_set import ContactStatus
+from .active_set import ContactStatus, complementarity
 from .condensation import Condensation, Dependence
-from .friction import CoulombFriction, FrictionLaw, Frictionless, Tied, tangential_law
-from .interface import InterfaceState
-from .linearisation import geometry_derivatives
+from .friction import CoulombFriction, FrictionLaw, Frictionless, HeldBound, Tied, tangential_law
+from .interface import InterfaceState, NodeState
+from .kinematics import Kinematics
+from .linearisation import GeometryDerivatives, geometry_derivatives
 from .mortar import (
     MortarOperator,
     MortarOptions,
@@ -27,12 +28,17 @@ __all__ = [
     "Dependence",
     "FrictionLaw",
     "Frictionless",
+    "GeometryDerivatives",
+    "HeldBound",
     "InterfaceState",
+    "Kinematics",
     "MortarOperator",
     "MortarOptions",
+    "NodeState",
     "Segments",
     "Surface",
     "Tied",
+    "complementarity",
     "covered_mass",
     "covered_stiffness",
     "gather_surface",

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
-
-from .._kernels import sparse as kernels
+from scipy.sparse import csr_array, diags_array
 
 if TYPE_CHECKING:
     from ..solvers import FieldLayout
@@ -45,19 +44,22 @@ class Dependence:
         stiffness: Positive where the row constrains the relative unknown: stiffness * a = -value,
             in the unit of the diagonal of K; zero where it is an equation; (n,). None for zero.
         values: Residual of the constraint [unit of a], or what is added to the equation; (n,).
-        geometry: Derivative of the rows with respect to the unknowns through the geometry of
-            contact; shape (m, m). None where it does not move.
+        derivative: Derivative of their rows with respect to the unknowns, besides that of the
+            forces in them; shape (n, m). None for zero.
+        transmitted: Derivative of X^T r with respect to the unknowns at fixed r: what the nodes
+            pass on to others; shape (m, m). None where the geometry does not move.
     """
 
     unknowns: npt.NDArray[np.int64]
     secondary: npt.NDArray[np.intp]
-    coefficients: scipy.sparse.csr_array
+    coefficients: csr_array
     closed: Bool
-    frame: scipy.sparse.csr_array | None = None
-    test_frame: scipy.sparse.csr_array | None = None
+    frame: csr_array | None = None
+    test_frame: csr_array | None = None
     stiffness: Float | None = None
     values: Float | None = None
-    geometry: scipy.sparse.csr_array | None = None
+    derivative: csr_array | None = None
+    transmitted: csr_array | None = None
 
 
 class Condensation:
@@ -94,47 +96,61 @@ class Condensation:
         self.update([])
 
     def update(self, dependences: Sequence[Dependence]) -> None:
-        """Build the transformation anew.
+        """Build the transformation and the conditions anew; as `couple`, then `constrain`."""
+        self.couple(dependences)
+        self.constrain(dependences)
+
+    def couple(self, dependences: Sequence[Dependence]) -> None:
+        """Build anew how unknowns depend on others, without conditions.
 
         Raises:
             ValueError: If a node is secondary twice, or surfaces depend on each other in a circle.
         """
         n = self.unknowns.size
-        shape = (n, n)
-        X, geometry = scipy.sparse.csr_array(shape), scipy.sparse.csr_array(shape)
-        B = Bt = scipy.sparse.csr_array(shape)
+        X = csr_array((n, n))
         turned = np.zeros(n, np.int64)
+        for d in dependences:
+            at = np.searchsorted(self.unknowns, d.unknowns)
+            turned[at[d.secondary]] += 1
+            X = X + _placed(d.coefficients, at[d.secondary], at, X.shape)
+        if np.any(turned > 1):
+            raise ValueError(
+                f"{int(np.sum(turned > 1))} unknowns belong to the secondary surfaces of two "
+                "pairs; let one of the surfaces end before the other, or swap secondary and primary"
+            )
+        self.dependence = X
+        self._inverse = _inverse(X)
+        self._unturned = diags_array((turned == 0).astype(float), format="csr")
+
+    def constrain(self, dependences: Sequence[Dependence]) -> None:
+        """Build anew the frames, constraints and derivatives of the coupled unknowns."""
+        n = self.unknowns.size
+        shape = (n, n)
+        B = Bt = rows = transmitted = csr_array(shape)
         self.closed = np.zeros(n, bool)
         stiffness, self.offset = np.zeros(n), np.zeros(n)
         for d in dependences:
             at = np.searchsorted(self.unknowns, d.unknowns)
             s = at[d.secondary]
-            turned[s] += 1
             self.closed[s] |= d.closed
-            X = X + _placed(d.coefficients, s, at, shape)
             frame = scipy.sparse.eye_array(s.size) if d.frame is None else d.frame
             B = B + _placed(frame, s, s, shape)
             Bt = Bt + _placed(frame if d.test_frame is None else d.test_frame, s, s, shape)
             if d.stiffness is not None and d.values is not None:
                 stiffness[s] = d.stiffness
                 self.offset[s] = np.where(d.stiffness > 0.0, d.stiffness * d.values, d.values)
-            if d.geometry is not None:
-                geometry = geometry + _placed(d.geometry, at, at, shape)
-        if np.any(turned > 1):
-            raise ValueError(
-                f"{int(np.sum(turned > 1))} unknowns belong to the secondary surfaces of two "
-                "pairs; let one of the surfaces end before the other, or swap secondary and primary"
-            )
-        rest = scipy.sparse.diags_array((turned == 0).astype(float), format="csr")
-        self.dependence, self._frame = X, (B + rest).tocsr()
-        inverse = self._inverse = _inverse(X)
-        self.transformation = (inverse @ self._frame).tocsr()
+            if d.derivative is not None:
+                rows = rows + _placed(d.derivative, s, at, shape)
+            if d.transmitted is not None:
+                transmitted = transmitted + _placed(d.transmitted, at, at, shape)
+        self._frame = csr_array(B + self._unturned)
+        self.transformation = csr_array(self._inverse @ self._frame)
         self.constrained = stiffness > 0.0
         # Entries of constrained rows stay, as zeros, so that the pattern does not change with them.
-        self.tests = (inverse @ (Bt + rest)).tocsr()
+        self.tests = csr_array(self._inverse @ (Bt + self._unturned))
         self.tests.data[self.constrained[self.tests.indices]] = 0.0
-        self.matrix = geometry @ self.transformation + scipy.sparse.diags_array(stiffness)
-        self.matrix = self.matrix.tocsr()
+        tangent = (rows + self.tests.T @ transmitted) @ self.transformation
+        self.matrix = csr_array(tangent + diags_array(stiffness))
 
     def gather(self, array: Float) -> Float:
         """Owners' values of the touched unknowns, the same on all ranks; shape (n,). Collective."""
@@ -168,42 +184,6 @@ class Condensation:
         values = self.gather(array)
         return self._frame.T @ (values - self.dependence @ values)
 
-    def matrix_entries(
-        self,
-        rows: npt.NDArray[np.int32],
-        columns: npt.NDArray[np.int32],
-        constrained: Bool,
-        fixed: Bool,
-    ) -> tuple[Float, npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-        """Entries of W^T K T that stem from entries of K in a secondary row or column.
-
-        Args:
-            rows: Local row of each of these entries of K.
-            columns: Their local columns.
-            constrained: Whether a local unknown is prescribed.
-            fixed: Whether a touched unknown is prescribed or closed; shape (n,).
-
-        Returns:
-            Factor of each new entry, the entry of K that it stems from, its global row and column.
-        """
-        free = ~fixed
-        targets = self.unknowns[free].astype(np.int32)
-        tests, trials = (m[:, free].tocsr() for m in (self.tests, self.transformation))
-        source, factor, new_rows, new_columns = kernels.expand_entries(
-            rows,
-            columns,
-            self._layout.global_index,
-            constrained,
-            self.slots,
-            tests.indptr,
-            targets[tests.indices],
-            tests.data,
-            trials.indptr,
-            targets[trials.indices],
-            trials.data,
-        )
-        return factor, source, new_rows, new_columns
-
     @property
     def slots(self) -> npt.NDArray[np.int32]:
         """Row of T of each local secondary unknown, -1 elsewhere; shape (n_local,)."""
@@ -215,19 +195,17 @@ class Condensation:
 
 
 def _placed(
-    matrix: scipy.sparse.csr_array,
+    matrix: csr_array,
     rows: npt.NDArray[np.intp],
     columns: npt.NDArray[np.intp],
     shape: tuple[int, int],
-) -> scipy.sparse.csr_array:
+) -> csr_array:
     """Entries of a small matrix at their places in a larger one."""
     entries = scipy.sparse.coo_array(matrix)
-    return scipy.sparse.csr_array(
-        (entries.data, (rows[entries.row], columns[entries.col])), shape=shape
-    )
+    return csr_array((entries.data, (rows[entries.row], columns[entries.col])), shape=shape)
 
 
-def _inverse(dependence: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+def _inverse(dependence: csr_array) -> csr_array:
     """(I - X)^-1 of a nilpotent X, as the finite sum of its powers."""
     result = scipy.sparse.eye_array(dependence.shape[0], format="csr")
     power = dependence

@@ -85,6 +85,27 @@ class CoulombFriction:
         return self.mu * pressure + self.cohesion * np.minimum(pressure / ramp, 1.0), slope
 
 
+@dataclass(frozen=True)
+class HeldBound:
+    """Bounds that do not follow the pressure, and act on open nodes too.
+
+    With them contact is the minimum of an energy, which is why Newton's method finds it.
+
+    Attributes:
+        values: Largest shear traction of each node [Pa]; shape (n,).
+    """
+
+    values: Float
+
+    def bound(self, pressure: Float) -> tuple[Float, Float]:
+        """Largest shear traction [Pa] and its slope [-]; shapes (n,).
+
+        Args:
+            pressure: Effective contact pressure [Pa]; shape (n,).
+        """
+        return self.values, np.zeros_like(pressure)
+
+
 def tangential_law(law: object) -> FrictionLaw | None:
     """Return the law of the shear traction, None where there is no friction.
 

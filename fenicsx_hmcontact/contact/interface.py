@@ -4,9 +4,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
+
+Float = npt.NDArray[np.float64]
+
+
+class NodeState(IntEnum):
+    """State of a node of the secondary surface."""
+
+    UNPAIRED = -1
+    """It faces no primary facet, or it is prescribed."""
+    OPEN = 0
+    STICKING = 1
+    SLIPPING = 2
+    """Closed and free to slide, by friction at its bound or without friction."""
 
 
 @dataclass(frozen=True)
@@ -16,15 +30,50 @@ class InterfaceState:
     Attributes:
         points: Coordinates of the nodes [m]; shape (n, 2).
         normals: Unit normals, from primary to secondary; shape (n, 2).
-        pressure: Effective contact pressure [Pa], compression positive; nan at dropped nodes; (n,).
+        pressure: Effective contact pressure [Pa], compression positive; nan at unpaired nodes;
+            (n,).
         shear: Shear traction on the secondary surface along the tangent (n_y, -n_x) [Pa]; (n,).
         pore_pressure: Mean pore pressure of both faces [Pa], zero without water; (n,).
         jump: Pore pressure of the secondary less that of the primary face [Pa]; (n,).
+        gap: Weighted gap (Eq. 70) [m], positive where open; nan at unpaired nodes; (n,).
+        slip: Relative displacement along the tangent in the last step [m]; (n,).
+        state: `NodeState` of each node; (n,).
+        length: Part of the secondary surface that a node stands for [m]; (n,).
+        forces: Forces of the primary surface, solid and water, on the nodes [N/m]; shape (n, 2).
+        primary_points: Coordinates of the nodes of the primary surface [m]; shape (k, 2).
+        primary_forces: Forces of the secondary surface on them [N/m]; shape (k, 2).
     """
 
-    points: npt.NDArray[np.float64]
-    normals: npt.NDArray[np.float64]
-    pressure: npt.NDArray[np.float64]
-    shear: npt.NDArray[np.float64]
-    pore_pressure: npt.NDArray[np.float64]
-    jump: npt.NDArray[np.float64]
+    points: Float
+    normals: Float
+    pressure: Float
+    shear: Float
+    pore_pressure: Float
+    jump: Float
+    gap: Float
+    slip: Float
+    state: npt.NDArray[np.int8]
+    length: Float
+    forces: Float
+    primary_points: Float
+    primary_forces: Float
+
+    @property
+    def force(self) -> Float:
+        """Resultant of the forces on the secondary surface [N/m]; shape (2,)."""
+        total: Float = self.forces.sum(axis=0)
+        return total
+
+    def moment(self, about: tuple[float, float] = (0.0, 0.0)) -> float:
+        """Moment of the forces on the secondary surface, anticlockwise [N m/m].
+
+        Args:
+            about: Point [m].
+        """
+        arm = self.points - np.asarray(about)
+        return float(np.sum(arm[:, 0] * self.forces[:, 1] - arm[:, 1] * self.forces[:, 0]))
+
+    @property
+    def closed(self) -> npt.NDArray[np.bool_]:
+        """Which nodes touch; shape (n,)."""
+        return self.state >= NodeState.STICKING

@@ -19,10 +19,14 @@ from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
 from .._kernels import mortar as kernels
-from .surface import Surface
+from .surface import Surface, cross
 
 Float = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
+Index = npt.NDArray[np.integer]
+
+SHARPEST_CORNER = 0.2
+"""Angle of a body below which a corner is taken for a slot that an iterate closed too far [rad]."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,9 @@ class MortarOptions:
 
     Attributes:
         search_radius: Largest distance along the normal at which two edges face each other, as a
-            multiple of the longest edge of both surfaces; ``inf`` for any distance. Raise it for
-            fluid in gaps wider than that, lower it where surfaces see the wrong neighbour.
+            multiple of the longer of these two; ``inf`` for any distance, at quadratic cost. Of
+            primary edges behind each other only the nearest counts. Raise it for fluid in gaps
+            wider than that, lower it where surfaces see a neighbour that they never touch.
         min_coverage: A secondary node is dropped where the primary surface covers a smaller part
             of it than this. Below 0.5, since half of a node is covered where one of its two edges
             is.
@@ -54,7 +59,9 @@ class MortarOptions:
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """Gauss points on the covered part of a secondary surface, three a segment, g in all.
+    """Gauss points on the covered part of a secondary surface, three a segment, g = 3 l in all.
+
+    They are sorted by secondary edges; segments of one edge do not overlap.
 
     Attributes:
         secondary_edge: Edge of the secondary surface; shape (g,).
@@ -62,6 +69,9 @@ class Segments:
         xi: Local coordinate on the secondary edge, from -1 to 1; shape (g,).
         eta: Local coordinate on the primary edge; shape (g,).
         weight: Length of the secondary surface that the point stands for [m]; shape (g,).
+        ends: Where every segment begins and ends on the secondary edge; shape (l, 2).
+        end_nodes: Node of the primary surface that makes this end, not always one of the primary
+            edge; -1 where the secondary edge ends; shape (l, 2).
     """
 
     secondary_edge: npt.NDArray[np.int32]
@@ -69,6 +79,8 @@ class Segments:
     xi: Float
     eta: Float
     weight: Float
+    ends: Float
+    end_nodes: npt.NDArray[np.int32]
 
     @property
     def secondary_shapes(self) -> Float:
@@ -126,37 +138,144 @@ def mortar_segments(
         primary: Surface that faces it.
         options: How far the surfaces look for each other.
     """
-    longest = max(secondary.lengths.max(), primary.lengths.max())
-    trees = [cKDTree(s.points[s.edges].mean(axis=1)) for s in (secondary, primary)]
-    candidates = trees[0].sparse_distance_matrix(
-        trees[1], (options.search_radius + 1.0) * longest, output_type="ndarray"
-    )
-    pairs = np.column_stack([candidates["i"], candidates["j"]])
-    pairs = pairs[np.lexsort(pairs.T[::-1])]
-    pair, ends = kernels.segments(
+    pairs = candidate_pairs(secondary, primary, options.search_radius)
+    pair, ends, end_nodes = kernels.segments(
         secondary.points,
         secondary.normals,
         secondary.edges,
         primary.points,
         primary.edges,
         pairs,
+        options.search_radius,
     )
     edge, primary_edge = pairs[pair].T
     corners = segment_corners(secondary, primary, edge, primary_edge)
-    xi, eta, weight = kernels.gauss_points(corners, ends)
-    x = np.einsum("lk,lka->la", _shapes(xi[:, 1]), corners[:, 0])
-    y = np.einsum("lk,lka->la", _shapes(eta[:, 1]), corners[:, 2])
-    distance = np.linalg.norm(x - y, axis=1)
-    near = distance <= options.search_radius * longest
-    edges = np.column_stack([edge, primary_edge])[near].repeat(3, axis=0).astype(np.int32)
-    return Segments(*edges.T, *(values[near].ravel() for values in (xi, eta, weight)))
+    source, ends, end_nodes = _nearest(edge, corners, ends, end_nodes)
+    xi, eta, weight = kernels.gauss_points(corners[source], ends)
+    return Segments(
+        edge[source].repeat(3).astype(np.int32),
+        primary_edge[source].repeat(3).astype(np.int32),
+        xi.ravel(),
+        eta.ravel(),
+        weight.ravel(),
+        ends,
+        end_nodes,
+    )
+
+
+def sees_only_backs(
+    secondary: Surface, primary: Surface, options: MortarOptions = MortarOptions()
+) -> bool:
+    """Whether two surfaces would face each other if one of them were reversed.
+
+    Then both bodies lie on the same side, as where the top of one body is paired with the top of
+    another. What is nearest counts, and the longer part of the surface if the parts differ.
+
+    Args:
+        secondary: Surface that carries the multipliers.
+        primary: The other surface.
+        options: How far the surfaces look for each other.
+
+    Returns:
+        False where they face each other, and also where they are too far apart.
+    """
+    fronts, n = primary.edges, len(primary.nodes)
+    both = Surface(
+        primary.name,
+        np.tile(primary.nodes, 2),
+        np.tile(primary.input_nodes, 2),
+        np.tile(primary.points, (2, 1)),
+        np.vstack([fronts, fronts[:, ::-1] + np.int32(n)]),
+    )
+    segments = mortar_segments(secondary, both, options)
+    front = segments.primary_edge < len(fronts)
+    return bool(segments.weight[~front].sum() > segments.weight[front].sum())
+
+
+def candidate_pairs(
+    secondary: Surface, primary: Surface, search_radius: float
+) -> npt.NDArray[np.int64]:
+    """Pair every secondary edge with the primary edges that are near enough to face it.
+
+    Edges are searched in classes of similar length, so that the number of pairs grows linearly
+    with the number of edges, also beside much longer ones. Neighbours at a corner of the body,
+    which lies between them, are left out.
+
+    Args:
+        secondary: Surface that carries the multipliers.
+        primary: Surface that faces it.
+        search_radius: Largest distance, as a multiple of the longer edge.
+
+    Returns:
+        Secondary and primary edge of every pair, sorted; shape (k, 2).
+    """
+    m = len(primary.edges)
+    if np.isinf(search_radius):
+        codes = np.arange(len(secondary.edges) * m)
+    else:
+        found = [np.empty(0, dtype=np.int64)]
+        for here, longest, tree in _length_classes(secondary):
+            for there, other_longest, other_tree in _length_classes(primary):
+                reach = (search_radius + 1.0) * max(longest, other_longest)
+                near = tree.sparse_distance_matrix(other_tree, reach, output_type="ndarray")
+                found.append(here[near["i"]] * m + there[near["j"]])
+        codes = np.sort(np.concatenate(found))
+    edges = codes // m
+    pairs = np.column_stack([edges, codes - m * edges])
+    if np.isin(secondary.nodes, primary.nodes).any():
+        pairs = pairs[~_around_a_corner(secondary, primary, pairs)]
+    return pairs
+
+
+def _length_classes(surface: Surface) -> list[tuple[Index, float, cKDTree]]:
+    """Edges whose lengths differ by less than 2, the longest length and a tree of their centres."""
+    centres, lengths = surface.points[surface.edges].mean(axis=1), surface.lengths
+    steps = np.floor(np.log2(lengths / lengths.min(initial=np.inf))).astype(int)
+    members = [np.flatnonzero(steps == step) for step in np.unique(steps)]
+    return [(edges, lengths[edges].max(), cKDTree(centres[edges])) for edges in members]
+
+
+def _around_a_corner(secondary: Surface, primary: Surface, pairs: Index) -> Bool:
+    """Pairs of edges that share a node at which the body has less than a straight angle."""
+    of_pairs = []
+    for surface, edges in [(secondary, pairs[:, 0]), (primary, pairs[:, 1])]:
+        of_pairs.append((surface.nodes[surface.edges[edges]], surface.tangents[edges]))
+    result = np.zeros(len(pairs), dtype=bool)
+    for (nodes, along), (next_nodes, next_along) in [of_pairs, of_pairs[::-1]]:
+        turn = np.arctan2(cross(along, next_along), np.sum(along * next_along, axis=1))
+        meet = nodes[:, 1] == next_nodes[:, 0]
+        result |= meet & (turn > 0.0) & (turn < np.pi - SHARPEST_CORNER)
+    return result
+
+
+def _nearest(
+    edge: Index, corners: Float, ends: Float, end_nodes: npt.NDArray[np.int32]
+) -> tuple[Index, Float, npt.NDArray[np.int32]]:
+    """Cut segments where others of the same edge are nearer; the segment of every piece first."""
+    everything = np.arange(len(edge))
+    order = np.lexsort((ends[:, 0], edge))
+    before, after = order[:-1], order[1:]
+    twice = (edge[before] == edge[after]) & (
+        ends[before, 1] - ends[after, 0] > kernels.SHORTEST_SEGMENT
+    )
+    if not twice.any():
+        return everything, ends, end_nodes
+    affected = np.isin(edge, edge[before[twice]])
+    inside = np.flatnonzero(affected)
+    starts = np.append(np.unique(edge[inside], return_index=True)[1], len(inside))
+    piece, parts, nodes = kernels.nearest(starts, corners[inside], ends[inside], end_nodes[inside])
+    outside = everything[~affected]
+    source = np.concatenate([outside, inside[piece]])
+    ends, end_nodes = np.vstack([ends[outside], parts]), np.vstack([end_nodes[outside], nodes])
+    order = np.argsort(edge[source], kind="stable")
+    return source[order], ends[order], end_nodes[order]
 
 
 def segment_corners(
     secondary: Surface,
     primary: Surface,
-    edge: npt.NDArray[np.integer],
-    primary_edge: npt.NDArray[np.integer],
+    edge: Index,
+    primary_edge: Index,
 ) -> Float:
     """Nodes of secondary edges, their normals and nodes of primary edges; shape (l, 3, 2, 2)."""
     nodes = secondary.edges[edge]
@@ -326,8 +445,8 @@ def _gram(secondary: Surface, segments: Segments, values: Float, factor: Float |
 
 def assemble(
     values: Float,
-    rows: npt.NDArray[np.integer],
-    columns: npt.NDArray[np.integer],
+    rows: Index,
+    columns: Index,
     shape: tuple[int, int],
 ) -> csr_array:
     """Add values up in a matrix; values, rows and columns of shapes that broadcast."""

@@ -30,12 +30,15 @@ class ContactPair:
         motion: Whether normals, segments and gaps follow the surfaces as they move ("finite"), or
             are those of the mesh ("small"): exact patch tests at small strain, no sliding beyond a
             small part of a facet. Tied pairs are small.
+        close_gaps: Gaps and overlaps at the start up to this [m] count as touching: what faceted
+            curves leave between bodies that are meant to touch.
         linearised: Whether the tangent follows normals, projections and segments as the surfaces
             move. Without it a step takes more iterations (8 to 20), to the same answer.
         name: Name of the pair in messages; "secondary/primary" tags where empty.
 
     Raises:
-        ValueError: If both surfaces are the same, the friction is no law, or the motion neither.
+        ValueError: If both surfaces are the same, the friction is no law, the motion neither, or
+            close_gaps negative.
     """
 
     facet_tags: MeshTags
@@ -45,6 +48,7 @@ class ContactPair:
     flow: GapFlow | None = None
     mortar: MortarOptions = field(default_factory=MortarOptions)
     motion: Literal["finite", "small"] = "finite"
+    close_gaps: float = 0.0
     linearised: bool = True
     name: str = ""
 
@@ -57,6 +61,8 @@ class ContactPair:
             )
         if self.motion not in ("finite", "small"):
             raise ValueError(f'motion is {self.motion!r}; it must be "finite" or "small"')
+        if not self.close_gaps >= 0.0:
+            raise ValueError(f"close_gaps is {self.close_gaps}; it must be zero or positive")
         if not isinstance(self.friction, Tied):
             tangential_law(self.friction)
         if self.flow is not None and not hasattr(self.flow, "aperture"):

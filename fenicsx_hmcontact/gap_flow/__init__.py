@@ -3,5 +3,6 @@
 
 from .film import film_conductance, mean_pressure
 from .law import GapFlow
+from .pressure import GapPressure
 
-__all__ = ["GapFlow", "film_conductance", "mean_pressure"]
+__all__ = ["GapFlow", "GapPressure", "film_conductance", "mean_pressure"]

@@ -2,7 +2,7 @@
 """Numbering, local and global matrix, linear solver and Newton's method."""
 
 from .layout import FieldLayout
-from .linear import DEFAULT_OPTIONS, LinearSolver
+from .linear import DEFAULT_OPTIONS, LinearSolver, SingularSystemError
 from .matrix import LocalMatrix
 from .newton import ConvergenceError, NewtonOptions, NewtonResult, solve_newton
 
@@ -14,5 +14,6 @@ __all__ = [
     "LocalMatrix",
     "NewtonOptions",
     "NewtonResult",
+    "SingularSystemError",
     "solve_newton",
 ]

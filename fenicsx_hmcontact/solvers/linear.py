@@ -33,6 +33,10 @@ MAX_GROWTH = 1e12
 _numbers = itertools.count()
 
 
+class SingularSystemError(RuntimeError):
+    """The linear system has no unique solution: something moves freely, or a pressure is unset."""
+
+
 class LinearSolver:
     """Matrix in coordinate form with a fixed pattern, scaled symmetrically before it is solved.
 
@@ -99,7 +103,8 @@ class LinearSolver:
             Owned part of the solution; shape (n_owned,).
 
         Raises:
-            RuntimeError: If the system is singular or the solver fails.
+            SingularSystemError: If the system is singular, to working precision or exactly.
+            RuntimeError: If the solver fails.
             ValueError: If an option is none of the solver's.
         """
         self._b.array[:] = self.scale * b
@@ -112,7 +117,7 @@ class LinearSolver:
         reason = self.ksp.getConvergedReason()
         singular = self._null_pivots()
         if singular:
-            raise RuntimeError(
+            raise SingularSystemError(
                 f"the linear system is singular, {singular} motions or pressures are free: a body "
                 "has no support, or a pore pressure is prescribed nowhere and not stored"
             )
@@ -120,7 +125,7 @@ class LinearSolver:
         if reason < 0 or not np.isfinite(size):
             raise RuntimeError(f"the linear system could not be solved (PETSc reason {reason})")
         if size > MAX_GROWTH * self._b.norm() > 0.0:
-            raise RuntimeError(
+            raise SingularSystemError(
                 "the linear system is singular to working precision: a body has no support, or a "
                 "pore pressure is prescribed nowhere and not stored"
             )

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
+
+from .linear import SingularSystemError
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,14 @@ class NewtonResult:
     Attributes:
         iterations: Number of linear solves.
         history: Residual of each field after each solve, scaled and relative to the increment.
+        contacts: Number of nodes in each state, by pair, after each solve.
+        lengths: Part of the increment that was taken in each iteration [-].
     """
 
     iterations: int = 0
     history: list[list[float]] = field(default_factory=list)
+    contacts: list[dict[str, dict[str, int]]] = field(default_factory=list)
+    lengths: list[float] = field(default_factory=list)
 
 
 class System(Protocol):
@@ -65,28 +71,72 @@ class System(Protocol):
     comm: MPI.Comm
 
     @property
+    def sets(self) -> bytes:
+        """The contact sets that the last residual belongs to; the same on all ranks."""
+
+    @property
     def settled(self) -> bool:
         """Whether the last residual was that of the same contact sets as the one before."""
 
-    def residual(self) -> None:
+    def residual(self, damped: bool = False) -> None:
         """Assemble the residual at the current state; it may hold anything but must be finite.
+
+        Args:
+            damped: Whether the last increment was not taken as a whole.
 
         Raises:
             FloatingPointError: If it is not, naming the field; on all ranks alike.
         """
 
-    def increment(self) -> npt.NDArray[np.float64]:
+    def increment(self) -> None:
         """Assemble the tangent where it has changed, solve, and add the increment."""
+
+    @property
+    def reach(self) -> float:
+        """Part of the last increment that moves contact surfaces by no more than a facet."""
+
+    def move(self, part: float) -> None:
+        """Add a part of the last increment once more; a negative one takes it back."""
+
+    def violation(self, held: bool = True) -> float:
+        """Norm of the scaled residual as a continuous function of the state, over all sets.
+
+        Args:
+            held: Whether held bounds of friction count, or those of the pressures.
+        """
 
     def scaled_residuals(self) -> list[float]:
         """Norm of the scaled residual of each field, free unknowns only."""
 
-    def scaled_norms(self, increment: npt.NDArray[np.float64]) -> tuple[float, float]:
-        """Norms of a scaled increment, and of the scaled unknowns and forces of supports."""
+    def scaled_norms(self) -> tuple[float, float]:
+        """Norms of the scaled change in the step, and of the scaled unknowns and reactions."""
+
+    def hold(self) -> None:
+        """Hold the bounds of friction, after a move towards those of the present pressures."""
+
+    def release(self) -> None:
+        """Let the bounds of friction follow the pressures again."""
+
+    def contacts(self) -> dict[str, dict[str, int]]:
+        """Number of nodes in each state, by pair."""
 
 
-ROUND_OFF = 1e3 * float(np.finfo(np.float64).eps)
+ROUND_OFF = 1e2 * float(np.finfo(np.float64).eps)
 """Residual that is round-off, relative to the scaled unknowns themselves."""
+
+PATIENCE = 8
+"""Iterations without convergence after which a step is guarded as if its sets cycled."""
+
+GUARDED = 16
+"""Most guarded iterations in the first round; so many more in each next one."""
+
+SHORTEST = 2.0**-6
+"""Shortest part of an increment that is tried."""
+
+DECREASE = 1e-4
+"""Part of the decrease at the start of an increment that a damped step must reach."""
+
+_log = logging.getLogger(__name__)
 
 
 def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
@@ -95,6 +145,10 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
     The symmetric scaling that gives the matrix a unit diagonal makes increments and residuals of
     all fields comparable, whatever the units: residuals are measured against the scaled change in
     the step. A residual that is round-off of the state itself is accepted as zero.
+
+    Whole increments are taken until contact sets come back that have been there before: the sets
+    cycle. From then on an increment is cut until the violation of equilibrium and contact
+    conditions decreases.
 
     Args:
         system: The equations.
@@ -107,23 +161,48 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
         ConvergenceError: If the residual does not become small, or is not a number.
     """
     result = NewtonResult()
-    change: npt.NDArray[np.float64] | None = None
     worst: list[float] = []
     _residual(system, worst)
+    seen, since, rounds, guarded, calm = {system.sets}, 0, 0, 0, 0
     while result.iterations < options.max_iterations:
-        increment = system.increment()
+        if since >= PATIENCE and not guarded:
+            rounds += 1
+            guarded, calm = GUARDED * rounds, 0
+        if guarded:
+            system.hold()
+            _residual(system, worst, damped=True)
+        before = system.violation() if guarded else np.inf
+        _increment(system, result, worst)
         result.iterations += 1
-        _residual(system, worst)
-        # Of the whole step: one wild increment must not loosen the test.
-        change = increment if change is None else change + increment
-        size, state = system.scaled_norms(change)
+        try:
+            # The first increment carries what is prescribed, however far.
+            part = _take(system, before, 1.0 if result.iterations == 1 else system.reach)
+        except FloatingPointError as error:
+            raise ConvergenceError(str(error), worst) from error
+        size, state = system.scaled_norms()
         residuals = system.scaled_residuals()
-        floor = ROUND_OFF * state
-        relative = [r / size if size > 0.0 else r for r in residuals]
-        result.history.append(relative)
-        worst.append(max(relative))
-        if system.settled and all(r <= max(options.tolerance * size, floor) for r in residuals):
+        result.history.append([r / size if size > 0.0 else r for r in residuals])
+        result.contacts.append(system.contacts())
+        result.lengths.append(part)
+        worst.append(max(result.history[-1]))
+        if system.comm.rank == 0:
+            _log.info("%s", _Line(system.field_names, result))
+        limit = max(options.tolerance * size, ROUND_OFF * state)
+        small = all(r <= limit for r in residuals) and system.settled
+        if small and part == 1.0 and (not guarded or system.violation(held=False) <= limit):
             return result
+        since += 1
+        if guarded:
+            guarded -= 1
+            calm = calm + 1 if system.settled else 0
+            if not guarded or calm > 2**rounds:
+                guarded = since = 0
+                system.release()
+                _residual(system, worst, damped=True)
+                seen = set()
+        elif not system.settled and system.sets in seen:
+            since = PATIENCE
+        seen.add(system.sets)
     name = system.field_names[int(np.argmax(result.history[-1]))]
     raise ConvergenceError(
         f"no convergence in {options.max_iterations} iterations: the residual of {name} is still "
@@ -132,8 +211,77 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
     )
 
 
-def _residual(system: System, history: list[float]) -> None:
+def _increment(system: System, result: NewtonResult, history: list[float]) -> None:
+    """Add the next increment; where nothing holds a body, go back part of the last one first."""
+    while True:
+        try:
+            system.increment()
+            return
+        except SingularSystemError:
+            part = 0.5 * result.lengths[-1] if result.lengths else 0.0
+            if part < SHORTEST:
+                raise
+        system.move(-part)
+        result.lengths[-1] = part
+        _residual(system, history, damped=True)
+
+
+def _residual(system: System, history: list[float], damped: bool = False) -> None:
     try:
-        system.residual()
+        system.residual(damped)
     except FloatingPointError as error:
         raise ConvergenceError(str(error), history) from error
+
+
+def _take(system: System, before: float, part: float) -> float:
+    """Take the largest part of the increment that decreases the violation, or the best one.
+
+    Args:
+        system: The equations, after a whole increment.
+        before: Violation before it; infinite to take all that has a residual.
+        part: Largest part to try.
+
+    Returns:
+        The part taken.
+    """
+    tried: dict[float, float] = {}
+    shortest = SHORTEST * part
+    if part < 1.0:
+        system.move(part - 1.0)
+    while True:
+        try:
+            system.residual(damped=np.isfinite(before) or part < 1.0)
+            tried[part] = system.violation()
+            if tried[part] <= (1.0 - DECREASE * part) * before:
+                return part
+        except FloatingPointError:
+            if part <= shortest:
+                raise
+        if part <= shortest:
+            break
+        system.move(-0.5 * part)
+        part *= 0.5
+    best = min(tried, key=lambda p: tried[p])
+    if best != part:
+        system.move(best - part)
+        system.residual(damped=True)
+    return best
+
+
+class _Line:
+    """One line about an iteration, written only where somebody reads it."""
+
+    def __init__(self, names: list[str], result: NewtonResult) -> None:
+        self._names, self._result = names, result
+
+    def __str__(self) -> str:
+        result = self._result
+        residuals = ", ".join(
+            f"{n} {r:.1e}" for n, r in zip(self._names, result.history[-1], strict=True)
+        )
+        counts = "; ".join(
+            f"{pair}: " + ", ".join(f"{n} {state}" for state, n in states.items())
+            for pair, states in result.contacts[-1].items()
+        )
+        damped = f", {result.lengths[-1]:.3g} of the increment" if result.lengths[-1] < 1.0 else ""
+        return f"iteration {result.iterations}: {residuals}{damped}; {counts}".rstrip("; ")

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from fenicsx_hmcontact.contact import ContactStatus, CoulombFriction
+from fenicsx_hmcontact.contact import ContactStatus, CoulombFriction, complementarity
 from fenicsx_hmcontact.contact.active_set import BOUND_TOLERANCE
 
 C_N, C_T = 100.0, 1000.0
@@ -131,3 +131,46 @@ def test_same_compares_sets_and_directions_of_what_slides():
     assert not STICK.same(OPEN) and not STICK.same(FORWARD) and not FORWARD.same(BACKWARD)
     none = ContactStatus.open(3)
     assert none.same(ContactStatus.open(3)) and not none.sticking.any() and not none.closed.any()
+
+
+def test_complementarity_vanishes_where_contact_and_friction_hold():
+    # Sticking, open, and sliding both ways against the shear traction of mu p
+    p, t = np.array([2.0, 0.0, 2.0, 2.0]), np.array([0.3, 0.0, 1.0, -1.0])
+    gap, slip = np.array([0.0, 0.1, 0.0, 0.0]), np.array([0.0, 5.0, -0.2, 0.2])
+
+    def violation(p, t, gap, slip):
+        both = complementarity(p, t, gap, slip, (np.full(4, 7.0),) * 2, CoulombFriction(0.5))
+        return np.abs(both).max(axis=0)
+
+    np.testing.assert_array_equal(violation(p, t, gap, slip), 0.0)
+    np.testing.assert_allclose(violation(p, t, gap - 0.2, slip)[[0, 2, 3]], 1.4)
+    assert np.all(violation(p + 0.1, t, gap, slip)[1:] > 0.04)
+    assert np.all(violation(p, t + 0.1, gap, slip)[1:] > 0.04)
+    assert np.all(violation(p, t, gap, slip + 0.01)[[0, 3]] >= 0.0)
+    assert violation(p, t, gap, slip + 0.01)[0] == pytest.approx(0.07)
+
+
+def test_complementarity_is_continuous_across_the_sets():
+    rng = np.random.default_rng(3)
+    state, way = rng.normal(size=(2, 4, 2000))
+    at = state[..., None] + way[..., None] * np.linspace(0.0, 1.0, 500)
+    values = np.array(complementarity(*at, (3.0, 3.0), CoulombFriction(0.7, 0.3)))
+    # Slopes: at most 2 c_n, and mu and the cohesion's ramp times that
+    bound = 500**-1 * np.abs(way).sum(axis=0) * (4.0 + 12.0 * 7.0)
+    assert np.all(np.abs(np.diff(values, axis=-1)).max(axis=(0, -1)) < bound)
+
+
+def test_signature_tells_sets_and_directions_apart():
+    def status(closed, slipping, direction=(1.0, 1.0, 1.0)):
+        return ContactStatus(*map(np.array, (closed, slipping, direction)))
+
+    base = status([True, True, False], [True, False, False], [1.0, 1.0, 1.0])
+    same = status([True, True, False], [True, False, False], [1.0, -1.0, -1.0])
+    assert base.signature == same.signature and base.same(same)
+    others = [
+        status([True, False, False], [True, False, False]),
+        status([True, True, False], [True, True, False]),
+        status([True, True, False], [True, False, False], [-1.0, 1.0, 1.0]),
+    ]
+    signatures = {base.signature, *(other.signature for other in others)}
+    assert len(signatures) == 4

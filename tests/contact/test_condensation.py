@@ -49,7 +49,8 @@ def contact(secondary, others, seed, constrained):
         test_frame=sparse.csr_array(linalg.block_diag(*shears)),
         stiffness=np.where(np.isin(np.arange(n), constrained), rng.uniform(1.0, 9.0, n), 0.0),
         values=rng.normal(size=n),
-        geometry=sparse.random_array((m, m), density=0.4, rng=rng, format="csr"),
+        derivative=sparse.random_array((n, m), density=0.4, rng=rng, format="csr"),
+        transmitted=sparse.random_array((m, m), density=0.4, rng=rng, format="csr"),
     )
 
 
@@ -95,7 +96,7 @@ def condensation_of(dependences, layout):
 
 def dense(dependences, n):
     """The definitions, over all unknowns: v = T a, tests W, added matrix and offset."""
-    X, B, B_test, G = np.zeros((n, n)), np.eye(n), np.eye(n), np.zeros((n, n))
+    X, B, B_test, G, Z = np.zeros((n, n)), np.eye(n), np.eye(n), np.zeros((n, n)), np.zeros((n, n))
     stiffness, offset = np.zeros(n), np.zeros(n)
     for d in dependences:
         s = d.unknowns[d.secondary]
@@ -105,10 +106,11 @@ def dense(dependences, n):
             B_test[np.ix_(s, s)] = d.test_frame.toarray()
             stiffness[s] = d.stiffness
             offset[s] = np.where(d.stiffness > 0, d.stiffness * d.values, d.values)
-            G[np.ix_(d.unknowns, d.unknowns)] += d.geometry.toarray()
+            G[np.ix_(s, d.unknowns)] += d.derivative.toarray()
+            Z[np.ix_(d.unknowns, d.unknowns)] += d.transmitted.toarray()
     T, W = (np.linalg.solve(np.eye(n) - X, b) for b in (B, B_test))
     W[:, stiffness > 0] = 0.0
-    return SimpleNamespace(T=T, W=W, added=G @ T + np.diag(stiffness), offset=offset)
+    return SimpleNamespace(T=T, W=W, added=(G + W.T @ Z) @ T + np.diag(stiffness), offset=offset)
 
 
 @SETS
@@ -159,38 +161,6 @@ def test_vectors_on_any_number_of_ranks(layout, make):
     condensation.condense(condensed, added[at])
     np.testing.assert_allclose(condensed, (reference.W.T @ a + added)[numbers], atol=1e-13)
     np.testing.assert_array_equal(condensation.gather(a[numbers]), a[at])
-
-
-@SETS
-def test_matrix_entries_make_the_triple_product(comm, layout, make):
-    dependences = make()
-    condensation = condensation_of(dependences, layout)
-    n = layout.n_global
-    reference = dense(dependences, n)
-    # Each rank brings a full matrix over what it sees.
-    rows, columns = (a.ravel().astype(np.int32) for a in np.indices((layout.n_local,) * 2))
-    values = np.random.default_rng(comm.rank).standard_normal(rows.size)
-    local = np.zeros((n, n))
-    numbers = layout.global_index
-    local[np.ix_(numbers, numbers)] = values.reshape((layout.n_local,) * 2)
-    K = comm.allreduce(local)
-
-    prescribed = np.isin(np.arange(n), [13, 30, 50, 2, 11, BARE])
-    fixed = prescribed[condensation.unknowns] | condensation.closed
-    slots = condensation.slots
-    involved = np.flatnonzero((slots[rows] >= 0) | (slots[columns] >= 0))
-    factor, source, new_rows, new_columns = condensation.matrix_entries(
-        rows[involved], columns[involved], prescribed[numbers], fixed
-    )
-    result = np.zeros((n, n))
-    np.add.at(result, (new_rows, new_columns), factor * values[involved[source]])
-    kept = (slots < 0) & ~prescribed[numbers]
-    inside = kept[rows] & kept[columns]
-    np.add.at(result, (numbers[rows[inside]], numbers[columns[inside]]), values[inside])
-    free = ~prescribed
-    free[condensation.unknowns[condensation.closed]] = False
-    expected = np.outer(free, free) * (reference.W.T @ K @ reference.T)
-    np.testing.assert_allclose(comm.allreduce(result), expected, rtol=0, atol=1e-11)
 
 
 def test_pattern_does_not_depend_on_constraints(layout):

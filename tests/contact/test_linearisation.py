@@ -6,8 +6,17 @@ import time
 import numpy as np
 import pytest
 
+from fenicsx_hmcontact._kernels.mortar import gauss_points, miss
+from fenicsx_hmcontact._kernels.mortar_derivatives import end_derivatives, segment_integrals
 from fenicsx_hmcontact.contact.linearisation import geometry_derivatives
-from fenicsx_hmcontact.contact.mortar import MortarOptions, mortar_operator, mortar_segments
+from fenicsx_hmcontact.contact.mortar import (
+    MortarOptions,
+    covered_mass,
+    covered_stiffness,
+    mortar_operator,
+    mortar_segments,
+    segment_corners,
+)
 from fenicsx_hmcontact.contact.surface import Surface
 
 
@@ -56,12 +65,27 @@ def ring(n, radius, rng, turn):
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
+def penetrating(secondary, primary, depth=0.035):
+    return secondary.at(secondary.points - [0, depth]), primary
+
+
 def rings(rng):
     disc = surface("disc", ring(9, 1.0, rng, 1), closed=True)
     return disc, surface("hole", ring(14, 1.2, rng, -1), closed=True, first=10**6)
 
 
+def layered(rng, noise=0.01):
+    """A secondary above two thin bodies that hide parts of a third, also in the middle of edges."""
+    upper = over(uneven(6, 0, 1, rng), wavy)
+    layers = [(7, -0.2, 1.1, 0.12), (5, 0.13, 0.52, 0.05), (2, 0.61, 0.69, 0.02)]
+    lower = [over(uneven(k, *span, rng)[::-1], wavy) - [0, gap] for k, *span, gap in layers]
+    upper, *lower = (p + noise * rng.normal(size=p.shape) for p in (upper, *lower))
+    return surface("upper", upper), surface("lower", *lower, first=10**6)
+
+
 CASES = {
+    "layered": layered,
+    "layered, penetrating": lambda rng: penetrating(*layered(rng)),
     "flat": lambda rng: pair(7, [(11, -0.1, 1.1)], flat, rng),
     "flat, noisy": lambda rng: pair(7, [(11, -0.1, 1.1)], flat, rng, noise=0.05),
     "inclined": lambda rng: pair(5, [(13, -0.2, 1.2)], slope, rng),
@@ -110,28 +134,22 @@ def fields(secondary, primary, rng):
 
 
 def quantities(operator, normals, d_s, d_m, F):
-    """What is differentiated, as arrays: n, D, M, C, relative vectors and forces for given F."""
+    """What is differentiated, as arrays: n, D, [I + C, -H], relative, forces by given F."""
     D, H, C, kept = operator.D, operator.H, operator.C, operator.kept
+    coupling = np.hstack([np.diag(kept) + C.toarray(), -H.toarray()])
     relative = kept[:, None] * (d_s + C @ d_s - H @ d_m)
     forces = np.concatenate([(C.T @ F).ravel(), -(H.T @ F).ravel()])
-    scaled = (D[:, None] * matrix.toarray() for matrix in (H, C))
-    return [normals.ravel(), D, *scaled, relative.ravel(), forces]
-
-
-def dense(derivative, shape):
-    result = np.zeros(shape)
-    np.add.at(result, (derivative.i, derivative.m, derivative.x), derivative.value)
-    return result
+    return [normals.ravel(), D, coupling, relative.ravel(), forces]
 
 
 def derivatives(g, secondary, primary, d_s, d_m, z):
     """Derivatives of the same quantities, as arrays with the coordinate last."""
-    n_s, n_m, n_x = len(secondary.nodes), len(primary.nodes), g.D.shape[1]
+    n_s, n = len(secondary.nodes), len(secondary.nodes) + len(primary.nodes)
+    one = np.eye(n)
     return [
         g.normals.toarray(),
         g.D.toarray(),
-        dense(g.M, (n_s, n_m, n_x)),
-        dense(g.C, (n_s, n_s, n_x)),
+        g.relative(one[:n_s], one[n_s:]).toarray().reshape(n_s, n, -1),
         g.relative(d_s, d_m).toarray(),
         g.forces(z).toarray(),
     ]
@@ -170,6 +188,12 @@ def test_cases_contain_what_they_are_meant_to():
     assert hole.kept.all() and np.sum(hole.coverage < 1 - 1e-3) == 2
     partial = operators["wavy, partial"]
     assert np.any((partial.coverage > 0.2) & (partial.coverage < 0.45)) and partial.uncovered.any()
+    for name in ("layered", "layered, penetrating"):
+        surfaces = CASES[name](np.random.default_rng(7))
+        segments, _ = couple(*surfaces)
+        own = surfaces[1].edges[segments.primary_edge[::3]]
+        foreign = ~(segments.end_nodes[..., None] == own[:, None]).any(axis=2)
+        assert np.sum(foreign & (segments.end_nodes >= 0)) >= 4
     for name in ("flat", "closed"):
         assert np.allclose(operators[name].coverage, 1, rtol=0, atol=1e-12)
 
@@ -189,10 +213,10 @@ def test_rigid_motion_turns_normals_and_growth_scales_lengths(surfaces, prescrib
     _, operator = couple(*surfaces, prescribed)
     found = derivatives(derive(*surfaces, prescribed), *surfaces, d_s, d_m, z)
     nx, ny = secondary.normals.T
-    n, D, M, C, relative, forces = quantities(operator, secondary.normals, d_s, d_m, 0 * z)
-    still = [0 * values for values in (n, D, M, C, relative, forces)]
+    values = quantities(operator, secondary.normals, d_s, d_m, 0 * z)
+    still = [0 * v for v in values]
     turned = [np.column_stack([-ny, nx]).ravel(), *still[1:]]
-    grown = [still[0], D, M, C, *still[4:]]
+    grown = [still[0], values[1], *still[2:]]
     for rate, expected in zip(motions(*surfaces), [still, still, turned, grown], strict=True):
         for derivative, exact in zip(found, expected, strict=True):
             scale = np.abs(derivative).max(initial=0) * np.abs(rate).max()
@@ -230,6 +254,7 @@ def test_units_do_not_matter(surfaces, unit):
     found = derivatives(derive(*surfaces, (2,)), *surfaces, d_s, d_m, z)
     other = derivatives(derive(*scaled, (2,)), *scaled, unit * d_s, unit * d_m, z)
     other[0] *= unit
+    other[2] *= unit
     for a, b in zip(found, other, strict=True):
         assert np.allclose(a, b, rtol=0, atol=1e-12 * np.abs(a).max(initial=0))
 
@@ -253,29 +278,118 @@ def test_short_covered_parts_keep_their_digits(part):
     end = len(surfaces[0].nodes) * 2
     expected = part * edge / np.linalg.norm(edge)
     assert np.allclose(g.D[[4], end : end + 2].toarray()[0], expected, rtol=1e-5, atol=0)
+    # The integrals D_i H_im scale with the unit of length and do not change with rotations.
     _, _, turning, growing = motions(*surfaces)
-    M = dense(g.M, (len(operator.D), len(surfaces[1].nodes), len(growing)))
-    exact = operator.D[:, None] * operator.H.toarray()
-    assert np.allclose(M @ growing, exact, rtol=0, atol=1e-10 * np.abs(exact).max())
-    assert np.abs(M @ turning).max() < 1e-10 * np.abs(exact).max()
+    n_s, n = len(operator.D), len(operator.D) + len(surfaces[1].nodes)
+    one, D = np.eye(n), operator.D[:, None]
+    d_H = -g.relative(one[:n_s], one[n_s:]).toarray().reshape(n_s, n, -1)[:, n_s:]
+    H = operator.H.toarray()
+    M = D[..., None] * d_H + H[..., None] * g.D.toarray()[:, None]
+    scale = np.abs(D * H).max()
+    assert np.allclose(M @ growing, D * H, rtol=0, atol=1e-10 * scale)
+    assert np.abs(M @ turning).max() < 1e-10 * scale
 
 
 def test_surfaces_that_do_not_meet_have_no_derivatives():
     secondary, primary = CASES["flat"](np.random.default_rng(7))
     g = derive(secondary, primary.at(primary.points - [100, 0]))
-    assert g.D.nnz == 0 and g.M.value.size == 0 and g.C.value.size == 0
+    assert g.D.nnz == 0
     assert g.normals.shape == (16, 40) and g.normals.nnz > 0
     assert g.relative(secondary.points, primary.points).nnz == 0
     assert g.forces(secondary.points).shape == (40, 40)
+    assert g.mass(np.ones(8)).shape == g.stiffness(np.ones(8)).shape == (8, 40)
 
 
 def test_number_of_entries_grows_with_the_surfaces_only():
     # Of many primary edges before one secondary edge, only the first and the last move its ends.
-    counts = [
-        len(derive(*pair(2, [(n, 0.1, 0.9)], flat, np.random.default_rng(1))).M.i)
-        for n in (100, 200)
-    ]
-    assert counts[1] < 2.1 * counts[0]
+    counts = []
+    for n in (100, 200):
+        g = derive(*pair(2, [(n, 0.1, 0.9)], flat, np.random.default_rng(1)))
+        counts.append([g.integrals.derivatives.nnz, g.forces(np.arange(3.0)[:, None]).nnz])
+    assert np.all(np.array(counts[1]) < 2.1 * np.array(counts[0]))
+
+
+@pytest.mark.parametrize("prescribed", PRESCRIBED)
+def test_film_matrices_agree_with_finite_differences(surfaces, prescribed):
+    secondary, _ = surfaces
+    segments, operator = couple(*surfaces, prescribed)
+    values = np.random.default_rng(2).normal(size=len(secondary.nodes))
+    g = geometry_derivatives(*surfaces, segments, operator)
+    found = g.mass(values).toarray(), g.stiffness(values).toarray()
+    x, n = coordinates(*surfaces), secondary.points.size
+    step = 1e-6 * secondary.lengths.min()
+    for k in range(x.size):
+        sides = []
+        for sign in (1, -1):
+            y = x + sign * step * (np.arange(x.size) == k)
+            moved = [
+                s.at(p.reshape(-1, 2)) for s, p in zip(surfaces, np.split(y, [n]), strict=True)
+            ]
+            other = mortar_segments(*moved)
+            sides.append(
+                [
+                    integral(moved[0], other, operator.kept) @ values
+                    for integral in (covered_mass, covered_stiffness)
+                ]
+            )
+        for now, plus, minus in zip(found, *sides, strict=True):
+            error = np.abs(now[:, k] - (plus - minus) / (2 * step)).max()
+            assert error <= 1e-6 * max(np.abs(now).max(), 1e-300)
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_any_number_of_components(surfaces, components):
+    secondary, primary = surfaces
+    n_s, n = len(secondary.nodes), len(secondary.nodes) + len(primary.nodes)
+    g = derive(secondary, primary, (2,))
+    rng = np.random.default_rng(8)
+    d, z = rng.normal(size=(n, components)), rng.normal(size=(n_s, components))
+    both = np.column_stack([d[:, 0], d[:, -1]])
+    of_two = g.relative(both[:n_s], both[n_s:]).toarray()
+    forces_of_two = g.forces(np.column_stack([z[:, 0], z[:, -1]])).toarray()
+    found, forces = g.relative(d[:n_s], d[n_s:]).toarray(), g.forces(z).toarray()
+    assert found.shape == (components * n_s, 2 * n) and forces.shape == (components * n, 2 * n)
+    for k, component in [(0, 0), (1, components - 1)]:
+        scale = np.abs(of_two).max(initial=0), np.abs(forces_of_two).max(initial=0)
+        assert np.abs(found[component::components] - of_two[k::2]).max() <= 1e-13 * scale[0]
+        rows = forces[component::components]
+        assert np.abs(rows - forces_of_two[k::2]).max() <= 1e-13 * scale[1]
+
+
+def complex_step(corners, ends, moving, points, centre):
+    """Integrals over one segment and their derivatives (Squire and Trapp 1998); (4,), (4, 16)."""
+    step = 1e-30 * np.hypot(*(corners[0, 1] - corners[0, 0]))
+    columns = []
+    for k in range(16):
+        moved = np.concatenate([corners, points[None]]).astype(complex)
+        moved.ravel()[k] += 1j * step
+        at = ends.astype(complex)
+        for end in np.flatnonzero(moving):
+            own = moved[:3].copy()
+            own[2, 0] = moved[3, end]
+            c0, c1, c2 = miss(own, 0)
+            s = ends[end]
+            at[end] -= (c0 + s * (c1 + s * c2)) / (c1 + 2 * s * c2)
+        xi, eta, weight = (v[0] for v in gauss_points(moved[None, :3], at[None]))
+        shapes = [(1 - eta) / 2, (1 + eta) / 2]
+        columns.append([np.sum(weight * f * N) for f in (1, xi - centre) for N in shapes])
+    return np.array(columns[0]).real, np.array(columns).imag.T / step
+
+
+def test_integrals_agree_with_a_complex_step(surfaces):
+    secondary, primary = surfaces
+    segments, _ = couple(*surfaces)
+    edge, primary_edge = segments.secondary_edge[::3], segments.primary_edge[::3]
+    corners = segment_corners(secondary, primary, edge, primary_edge)
+    ends, moving = segments.ends, segments.end_nodes >= 0
+    points = primary.points[np.where(moving, segments.end_nodes, 0)]
+    centre = np.random.default_rng(1).uniform(-1, 1, len(ends))
+    d_ends = end_derivatives(corners, ends, moving, points)
+    values, found = segment_integrals(corners, ends, d_ends, centre)
+    for k in range(len(ends)):
+        exact, derivative = complex_step(corners[k], ends[k], moving[k], points[k], centre[k])
+        assert np.allclose(values[k], exact, rtol=0, atol=1e-14)
+        assert np.abs(found[k] - derivative).max() <= 1e-12 * max(1.0, np.abs(derivative).max())
 
 
 @pytest.mark.benchmark
@@ -286,4 +400,5 @@ def test_speed():
         start = time.process_time()
         g = geometry_derivatives(secondary, primary, segments, operator)
         end = time.process_time()
-    print(f"{1e2 * (end - start):.1f} us an edge, {len(g.M.i) / 1e4:.0f} entries of M an edge")
+    entries = g.integrals.derivatives.nnz / 1e4
+    print(f"{1e2 * (end - start):.1f} us an edge, {entries:.0f} entries an edge")

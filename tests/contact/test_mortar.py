@@ -358,7 +358,7 @@ def test_surface_seen_from_behind_is_not_coupled():
 
 
 @pytest.mark.parametrize(("gap", "radius", "found"), [(0.9, 3.0, True), (1.1, 3.0, False)])
-def test_search_radius_counts_longest_edges(gap, radius, found):
+def test_search_radius_counts_on_both_sides(gap, radius, found):
     secondary, primary = pair(np.linspace(0, 1, 6), np.linspace(0, 0.9, 4))
     for sign in (1, -1):
         apart = primary.at(primary.points - [0, sign * gap])

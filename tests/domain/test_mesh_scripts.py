@@ -6,7 +6,9 @@ import pytest
 
 from fenicsx_hmcontact._compat import cell_nodes
 from meshes.cooks_membrane import cooks_membrane
+from meshes.hertz import hertz
 from meshes.patch import patch_blocks
+from meshes.sliding import sliding_blocks
 from meshes.two_blocks import two_blocks
 
 pytestmark = pytest.mark.mpi
@@ -142,6 +144,45 @@ def test_jitter_moves_inner_nodes_only_and_follows_the_seed():
     assert len(still) - len(kept) == 6 * 3
 
 
+@pytest.mark.parametrize("half_width", [0.1, 0.4, 1.0])
+def test_hertz_disc_lies_on_its_circle_and_touches_in_one_node(half_width):
+    R, disc_size, plane_size = 8.0, 0.1 * half_width, 0.15 * half_width
+    domain = hertz(
+        COMM, half_width=half_width, disc_size=disc_size, plane_size=plane_size, growth=0.2
+    )
+    assert domain.body_names == ["disc", "block"]
+    assert area(domain, "block") == pytest.approx(2 * R * R, rel=1e-12)
+    assert area(domain, "disc") == pytest.approx(0.5 * np.pi * R**2, rel=5e-3)
+    for name, body, size in (
+        ("disc_contact", "disc", disc_size),
+        ("plane_contact", "block", plane_size),
+    ):
+        assert domain.body_of_surface(name) == body
+        assert length(domain, name) == pytest.approx(3.0 * half_width, rel=1e-3)
+        assert len(ends(domain, name)) == round(3.0 * half_width / size)
+        # A node at the point of contact
+        assert np.linalg.norm(ends(domain, name), axis=2).min() < 1e-12
+    distance = np.linalg.norm(ends(domain, "disc_contact") - (0.0, R), axis=2)
+    np.testing.assert_allclose(distance, R, rtol=1e-12)
+    np.testing.assert_allclose(ends(domain, "plane_contact")[..., 1], 0.0, atol=1e-14)
+    assert length(domain, "top") == length(domain, "bottom") == pytest.approx(2 * R, rel=1e-12)
+
+
+def test_hertz_cells_are_fine_at_the_contact_only():
+    domain = hertz(COMM)
+    for body, size in (("disc", 0.04), ("block", 0.05)):
+        cells = corners(domain, body)
+        edges = np.linalg.norm(np.roll(cells, 1, axis=1) - cells, axis=2).max(axis=1)
+        distance = np.linalg.norm(cells.mean(axis=1), axis=1)
+        assert edges[distance < 0.6].max() < 1.8 * size
+        assert np.all(edges < 2.0 * (size + 0.1 * np.maximum(distance - 0.5, 0.0)))
+        assert edges[distance > 6.0].min() > 0.3
+        assert 1000 < len(np.unique(cells.reshape(-1, 2).round(9), axis=0)) < 3000
+    # Nodes on the axis, so that the disc can be kept upright
+    nodes = np.unique(corners(domain, "disc").reshape(-1, 2).round(9), axis=0)
+    assert np.count_nonzero((np.abs(nodes[:, 0]) < 1e-8) & (nodes[:, 1] > 4.0)) >= 5
+
+
 @pytest.mark.parametrize(
     ("make", "options", "word"),
     [
@@ -153,8 +194,55 @@ def test_jitter_moves_inner_nodes_only_and_follows_the_seed():
         (patch_blocks, {"secondary": 0}, "secondary"),
         (patch_blocks, {"slope": 1.0}, "slope"),
         (patch_blocks, {"jitter": 0.2}, "jitter"),
+        (hertz, {"radius": 0.0}, "radius"),
+        (hertz, {"half_width": 3.0}, "half_width"),
+        (hertz, {"plane_size": 0.5}, "plane_size"),
+        (hertz, {"growth": -0.1}, "growth"),
     ],
 )
 def test_wrong_arguments_are_refused_by_name(make, options, word):
     with pytest.raises(ValueError, match=word):
         make(COMM, **options)
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.02])
+def test_sliding_block_lies_on_the_waves(amplitude):
+    domain = sliding_blocks(
+        COMM,
+        width=0.7,
+        height=0.4,
+        base_width=2.4,
+        base_height=0.3,
+        start=0.4,
+        rows=3,
+        amplitude=amplitude,
+        period=0.8,
+    )
+    for name, count, left, right in (("block_bottom", 7, 0.4, 1.1), ("base_top", 23, 0.0, 2.4)):
+        points = ends(domain, name)
+        assert len(points) == count
+        wave = amplitude * np.cos(2 * np.pi * points[..., 0] / 0.8)
+        np.testing.assert_allclose(points[..., 1], wave, rtol=0, atol=1e-14)
+        across = np.unique(points[..., 0].round(12))
+        np.testing.assert_allclose(across, np.linspace(left, right, count + 1), atol=1e-12)
+        assert domain.body_of_surface(name) == name.split("_")[0]
+    for name, y in (("block_top", 0.4), ("base_bottom", -0.3)):
+        np.testing.assert_allclose(ends(domain, name)[..., 1], y, rtol=0, atol=1e-14)
+    x = np.linspace(0.4, 1.1, 8)
+    y = amplitude * np.cos(2 * np.pi * x / 0.8)
+    assert area(domain, "block") == pytest.approx(0.28 - np.trapezoid(y, x), rel=1e-12)
+    assert len(corners(domain, "base")) == 2 * 23 * 4
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"height": 0.0}, "height"),
+        ({"primary": 0}, "primary"),
+        ({"start": 1.2}, "start"),
+        ({"amplitude": 0.5}, "amplitude"),
+    ],
+)
+def test_sliding_blocks_refuse_wrong_arguments_by_name(options, word):
+    with pytest.raises(ValueError, match=word):
+        sliding_blocks(COMM, **options)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from fenicsx_hmcontact.solvers import LinearSolver
+from fenicsx_hmcontact.solvers import LinearSolver, SingularSystemError
 from tests.models import dense
 
 pytestmark = pytest.mark.mpi
@@ -107,7 +107,7 @@ def test_singular_to_working_precision_is_refused(comm):
     options = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "superlu_dist"}
     solver = LinearSolver(comm, owned, rows, columns, options)
     solver.set_values(np.array([1.0, 1.0, 1.0, 1.0 + 1e-14][: 2 * owned]))
-    with pytest.raises(RuntimeError, match="singular to working precision"):
+    with pytest.raises(SingularSystemError, match="singular to working precision"):
         solver.solve(np.array([1.0, -1.0][:owned]))
 
 
@@ -125,7 +125,7 @@ def test_singular_matrix_is_refused(comm):
     values[(rows == 3) | (columns == 3)] = 0.0
     solver = LinearSolver(comm, owned, rows, columns)
     solver.set_values(values)
-    with pytest.raises(RuntimeError, match="singular, 1 motions or pressures are free"):
+    with pytest.raises(SingularSystemError, match="singular, 1 motions or pressures are free"):
         solver.solve(np.ones(owned))
 
 

@@ -11,29 +11,49 @@ class Scalar:
     def __init__(self, comm, f, g, x, changes=0):
         self.field_names = ["first", "second"]
         self.comm, self.f, self.g, self.x = comm, f, g, x
-        self.r = np.nan
+        self.r, self.start = np.nan, x
         self.changes = changes
 
     @property
     def settled(self):
         return self.changes < 0
 
-    def residual(self):
+    @property
+    def sets(self):
+        return str(self.changes).encode()
+
+    def residual(self, damped=False):
         self.changes -= 1
         self.r = self.f(self.x)
         if not np.isfinite(self.r):
             raise FloatingPointError("the residual of first is not a number")
 
     def increment(self):
-        step = -self.r / self.g(self.x)
-        self.x += step
-        return np.array([step])
+        self.step = -self.r / self.g(self.x)
+        self.x += self.step
+
+    def move(self, part):
+        self.x += part * self.step
+
+    def violation(self, held=True):
+        return abs(self.r)
+
+    def contacts(self):
+        return {"a/b": {"open": 1, "closed": 2}}
 
     def scaled_residuals(self):
         return [abs(self.r), 0.5 * abs(self.r)]
 
-    def scaled_norms(self, increment):
-        return float(np.linalg.norm(increment)), abs(self.x)
+    reach = 1.0
+
+    def scaled_norms(self):
+        return abs(self.x - self.start), abs(self.x)
+
+    def hold(self):
+        pass
+
+    def release(self):
+        pass
 
 
 def test_finds_the_root_quadratically(comm):
@@ -85,10 +105,10 @@ def test_no_root_is_reported_with_the_history(comm):
 
 @pytest.mark.parametrize(("start", "iterations"), [(-1.0, 0), (1.0, 1)])
 def test_not_a_number_is_reported_before_and_after_a_step(comm, start, iterations):
-    def logarithm(x):
-        return np.log(x) + 3 if x > 0 else np.nan
+    def alone(x):
+        return 1.0 if x == 1.0 else np.nan
 
-    system = Scalar(comm, logarithm, lambda x: 1 / x, start)
+    system = Scalar(comm, alone, lambda x: 1.0, start)
     with pytest.raises(ConvergenceError, match="residual of first is not a number") as error:
         solve_newton(system, NewtonOptions())
     assert len(error.value.history) == iterations - (iterations > 0)
@@ -104,3 +124,56 @@ def test_refuses_tolerances(tolerance):
 def test_refuses_numbers_of_iterations(number):
     with pytest.raises(ValueError, match="max_iterations"):
         NewtonOptions(max_iterations=number)
+
+
+class Cycling(Scalar):
+    """Two sets, x < 0 and x > 0, whose whole steps lead from one to the other for ever."""
+
+    def __init__(self, comm, x):
+        super().__init__(comm, lambda x: np.arctan(x), lambda x: 1 / (1 + x**2), x)
+        self.positive = x > 0
+        self.same = True
+        self.damped = []
+
+    @property
+    def settled(self):
+        return self.same
+
+    @property
+    def sets(self):
+        return b"+" if self.positive else b"-"
+
+    def residual(self, damped=False):
+        super().residual()
+        # Where the equations hold to round-off, no set is better than the other.
+        positive = self.positive if abs(self.x) < 1e-12 else self.x > 0
+        self.same, self.positive = positive == self.positive, positive
+        self.damped.append(damped)
+
+
+def test_cycling_sets_are_noticed_and_the_step_is_cut(comm):
+    system = Cycling(comm, 1.3917452)  # from here whole steps go to and fro
+    result = solve_newton(system, NewtonOptions(max_iterations=40))
+    assert abs(system.x) < 1e-9
+    # Two whole steps, then one that is cut; the last one is whole.
+    assert result.lengths[:2] == [1.0, 1.0] and min(result.lengths) < 1.0
+    assert result.lengths[-1] == 1.0
+    assert not any(system.damped[:3]) and all(system.damped[3:])
+
+
+def test_a_step_without_residual_is_cut(comm):
+    system = Scalar(comm, lambda x: np.log(x) - 3 if x > 0 else np.nan, lambda x: 1 / x, 60.0)
+    result = solve_newton(system, NewtonOptions(max_iterations=40))
+    assert system.x == pytest.approx(np.exp(3.0), rel=1e-9) and result.lengths[0] == 0.5
+
+
+def test_iterations_tell_what_the_contacts_do(comm, caplog):
+    caplog.set_level("INFO", logger="fenicsx_hmcontact")
+    result = solve_newton(Scalar(comm, lambda x: 3 * x - 6, lambda x: 3, 0.0), NewtonOptions())
+    assert result.contacts == [{"a/b": {"open": 1, "closed": 2}}]
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines == (
+        ["iteration 1: first 0.0e+00, second 0.0e+00; a/b: 1 open, 2 closed"]
+        if comm.rank == 0
+        else []
+    )

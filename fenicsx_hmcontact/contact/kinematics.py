@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Two surfaces on the move: where they are, how they couple, gap and slip (Eqs. 64 and 70)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from .linearisation import GeometryDerivatives, geometry_derivatives
+from .mortar import MortarOperator, Segments, mortar_operator, mortar_segments
+from .pair import ContactPair
+from .surface import Surface
+
+Float = npt.NDArray[np.float64]
+
+
+class Kinematics:
+    """Surfaces of a pair at their current place.
+
+    Args:
+        pair: The pair.
+        secondary: Its secondary surface, undeformed.
+        primary: Its primary surface, undeformed.
+        dropped: Secondary nodes with a prescribed displacement; shape (n_s,).
+        displacements: Of the nodes of both surfaces at the start [m]; shapes (n_s, 2), (n_m, 2).
+
+    Attributes:
+        secondary: Secondary surface, where normals and coupling see it.
+        primary: Primary surface, likewise.
+        segments: Where they face each other.
+        operator: Coupling of the displacements.
+        pressures: Coupling of the pore pressures: prescribed displacements do not drop a node.
+    """
+
+    def __init__(
+        self,
+        pair: ContactPair,
+        secondary: Surface,
+        primary: Surface,
+        dropped: npt.NDArray[np.bool_],
+        displacements: tuple[Float, Float],
+    ) -> None:
+        self._pair = pair
+        self._rest = secondary, primary
+        self._dropped = dropped
+        self._start = displacements
+        self._closed_gaps = np.zeros(len(dropped))
+        self._couple(secondary, primary)
+        self.place(displacements)
+        gap = self.gap()
+        near = self.operator.kept & (np.abs(gap) <= pair.close_gaps)
+        self._closed_gaps[near] = gap[near]
+
+    secondary: Surface
+    primary: Surface
+    segments: Segments
+    operator: MortarOperator
+    pressures: MortarOperator
+
+    def place(self, displacements: tuple[Float, Float]) -> None:
+        """Put the surfaces where the displacements [m] are; shapes (n_s, 2) and (n_m, 2)."""
+        self._u = displacements
+        self._points = [s.points + u for s, u in zip(self._rest, displacements, strict=True)]
+        if self._pair.motion == "finite":
+            self._couple(*(s.at(x) for s, x in zip(self._rest, self._points, strict=True)))
+
+    def start_step(self) -> None:
+        """Measure slip from here on."""
+        self._start = self._u
+
+    @property
+    def points(self) -> tuple[Float, Float]:
+        """Coordinates of the nodes of both surfaces [m]; shapes (n_s, 2) and (n_m, 2)."""
+        return self._points[0], self._points[1]
+
+    @property
+    def moved(self) -> tuple[Float, Float]:
+        """Displacements of both surfaces since the start of the step [m]."""
+        return self._u[0] - self._start[0], self._u[1] - self._start[1]
+
+    def between(self, secondary: Float, primary: Float) -> Float:
+        """Values of the secondary less those of the primary surface; zero at dropped nodes.
+
+        Args:
+            secondary: Values of the secondary nodes; shape (n_s, 2).
+            primary: Values of the primary nodes; shape (n_m, 2).
+        """
+        operator = self.operator
+        values = secondary + operator.C @ secondary - operator.H @ primary
+        return np.where(operator.kept[:, None], values, 0.0)
+
+    def gap(self) -> Float:
+        """Weighted gap [m] (Eq. 70), positive where open; shape (n_s,)."""
+        across = np.einsum("ia,ia->i", self.between(*self._points), self.secondary.normals)
+        gap: Float = across - self._closed_gaps
+        return gap
+
+    def slip(self) -> Float:
+        """Relative displacement since the start of the step [m]; shape (n_s, 2)."""
+        return self.between(*self.moved)
+
+    @cached_property
+    def derivatives(self) -> GeometryDerivatives | None:
+        """Derivatives of normals and coupling; None where they stay or are left out."""
+        return self._differentiated(self.operator)
+
+    @cached_property
+    def pressure_derivatives(self) -> GeometryDerivatives | None:
+        """Derivatives of the coupling of the pore pressures; None as in `derivatives`."""
+        if self.pressures is self.operator:
+            return self.derivatives
+        return self._differentiated(self.pressures)
+
+    def _differentiated(self, operator: MortarOperator) -> GeometryDerivatives | None:
+        if self._pair.motion == "small" or not self._pair.linearised:
+            return None
+        return geometry_derivatives(self.secondary, self.primary, self.segments, operator)
+
+    def _couple(self, secondary: Surface, primary: Surface) -> None:
+        for derivatives in ("derivatives", "pressure_derivatives"):
+            self.__dict__.pop(derivatives, None)
+        options = self._pair.mortar
+        self.secondary, self.primary = secondary, primary
+        self.segments = mortar_segments(secondary, primary, options)
+        arguments = secondary, primary, self.segments
+        self.operator = mortar_operator(*arguments, self._dropped, options)
+        self.pressures = self.operator
+        if self._dropped.any():
+            self.pressures = mortar_operator(*arguments, None, options)

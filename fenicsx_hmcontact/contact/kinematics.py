@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,9 @@ from .pair import ContactPair
 from .surface import Surface
 
 Float = npt.NDArray[np.float64]
+
+LATE = 0.5
+"""A node that is coupled is dropped late, below this part of the smallest coverage."""
 
 
 class Kinematics:
@@ -47,6 +51,7 @@ class Kinematics:
         self._dropped = dropped
         self._start = displacements
         self._closed_gaps = np.zeros(len(dropped))
+        self._covered = np.zeros(len(dropped), bool)
         self._couple(secondary, primary)
         self.place(displacements)
         gap = self.gap()
@@ -124,8 +129,17 @@ class Kinematics:
         options = self._pair.mortar
         self.secondary, self.primary = secondary, primary
         self.segments = mortar_segments(secondary, primary, options)
-        arguments = secondary, primary, self.segments
-        self.operator = mortar_operator(*arguments, self._dropped, options)
-        self.pressures = self.operator
-        if self._dropped.any():
-            self.pressures = mortar_operator(*arguments, None, options)
+        self.operator = self._coupled(self._dropped)
+        self.pressures = self._coupled(None) if self._dropped.any() else self.operator
+        self._covered = self.pressures.kept
+
+    def _coupled(self, dropped: npt.NDArray[np.bool_] | None) -> MortarOperator:
+        """Couple the surfaces; nodes are dropped late, or those at the limit would come and go."""
+        options = self._pair.mortar
+        late = replace(options, min_coverage=LATE * options.min_coverage)
+        arguments = self.secondary, self.primary, self.segments
+        operator = mortar_operator(*arguments, dropped, late)
+        out = ~self._covered & operator.kept & (operator.coverage < options.min_coverage)
+        if not out.any():
+            return operator
+        return mortar_operator(*arguments, out if dropped is None else out | dropped, late)

@@ -127,7 +127,10 @@ ROUND_OFF = 1e2 * float(np.finfo(np.float64).eps)
 PATIENCE = 8
 """Iterations without convergence after which a step is guarded as if its sets cycled."""
 
-GUARDED = 16
+HELD = 1e-6
+"""Tolerance at which held bounds move on."""
+
+GUARDED = 30
 """Most guarded iterations in the first round; so many more in each next one."""
 
 SHORTEST = 2.0**-6
@@ -163,12 +166,12 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
     result = NewtonResult()
     worst: list[float] = []
     _residual(system, worst)
-    seen, since, rounds, guarded, calm = {system.sets}, 0, 0, 0, 0
+    seen, since, rounds, guarded, calm, ready, last = {system.sets}, 0, 0, 0, 0, True, b""
     while result.iterations < options.max_iterations:
         if since >= PATIENCE and not guarded:
             rounds += 1
-            guarded, calm = GUARDED * rounds, 0
-        if guarded:
+            guarded, calm, ready = GUARDED * rounds, 0, True
+        if guarded and ready:
             system.hold()
             _residual(system, worst, damped=True)
         before = system.violation() if guarded else np.inf
@@ -194,7 +197,10 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
         since += 1
         if guarded:
             guarded -= 1
-            calm = calm + 1 if system.settled else 0
+            ready = system.settled and part == 1.0 and all(r <= HELD * size for r in residuals)
+            if ready:
+                calm = calm + 1 if system.sets == last else 0
+                last = system.sets
             if not guarded or calm > 2**rounds:
                 guarded = since = 0
                 system.release()

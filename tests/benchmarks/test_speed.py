@@ -19,6 +19,7 @@ from dolfinx import fem, mesh
 from dolfinx.fem import petsc
 
 import fenicsx_hmcontact as hm
+from tests.models import fix, loads, stack
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="serial")]
 
@@ -64,8 +65,7 @@ def smoothed_assembly(n):
 
     def tangent():
         problem._matrix.assemble()
-        problem._set_condensed_values()
-        problem._linear.set_values(problem._matrix.values)
+        problem._system.set_values(problem._added_matrix())
 
     assemble = seconds(tangent)
     b = np.ones(problem.layout.owned.size)
@@ -154,3 +154,45 @@ def test_first_and_later_starts(tmp_path):
         times.append(time.perf_counter() - start)
     assert any((tmp_path / "forms").rglob("*.so"))
     print(f"\nfirst start, everything compiled: {times[0]:.1f} s; later: {times[1]:.1f} s")
+
+
+def test_cost_of_frictional_contact():
+    domain = stack(MPI.COMM_WORLD, (208, 270), rows=208)
+    V = fem.functionspace(domain.mesh, ("P", 1, (2,)))
+    u, v = fem.Function(V, name="displacement"), ufl.TestFunction(V)
+    F = ufl.inner(hm.LinearElastic(100.0, 0.3).stress(u), ufl.grad(v)) * hm.dc
+    F += loads(domain, v, {"top_1": (0.0, -1.0)})
+    bcs = [fix(domain, V.sub(i), "bottom_0", 0.0) for i in (0, 1)]
+    bcs.append(fix(domain, V.sub(0), "top_1", 0.01))
+    surfaces = domain.surface("bottom_1"), domain.surface("top_0")
+    pair = hm.ContactPair(domain.facet_tags, *surfaces, friction=hm.CoulombFriction(0.3))
+    problem = hm.ContactProblem(F, u, bcs=bcs, pairs=[pair])
+    problem.solve()
+    (coupling,), condensation, system = problem._sliding, problem.condensation, problem._system
+    current = problem._current()
+
+    def bulk():
+        problem._matrix.assemble()
+        view = np.zeros(problem.layout.n_local)
+        for term in problem._vector_terms[0]:
+            term.add_to_vector(view)
+
+    def contact():
+        coupling.place(current)
+        condensation.couple(problem._dependences)
+        transmitted = problem._raw.copy()
+        condensation.transmit(transmitted)
+        coupling.update(transmitted, problem._diagonal)
+        condensation.constrain(problem._dependences)
+        condensation.condense(problem._raw.copy(), condensation.offset)
+        maps = condensation.tests, condensation.transformation
+        for pattern, matrix in zip((system._tests, system._trials), maps, strict=True):
+            pattern.admit(matrix)
+        system._expand(*maps)
+
+    times = seconds(bulk), seconds(contact)
+    print(
+        f"\n{V.dofmap.index_map.size_global} nodes, {len(coupling.status.closed)} of them in pairs"
+    )
+    print(f"assembly {times[0]:.4f} s, contact {times[1]:.4f} s: {times[1] / times[0]:.3f}")
+    assert times[1] < 0.1 * times[0]

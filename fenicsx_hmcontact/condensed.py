@@ -31,6 +31,7 @@ class CondensedMatrix:
     Attributes:
         linear: Solver; None before the first `set_values`.
         free: Owned unknowns that are neither prescribed nor closed for good.
+        n_factorisations: How often the values have been set.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class CondensedMatrix:
         self._constrained = constrained
         self._options = petsc_options
         self.linear: LinearSolver | None = None
+        self.n_factorisations = 0
         closed = condensation.unknowns[condensation.closed]
         self.free = ~constrained[layout.owned]
         self.free[closed[layout.owns(closed)] - layout.first] = False
@@ -85,6 +87,7 @@ class CondensedMatrix:
         )
         values[first:] = np.concatenate(parts)
         self.linear.set_values(values)
+        self.n_factorisations += 1
 
     def _lay_out(self) -> None:
         """Lay the matrix out: entries of K, of condensation, what is added, and the identity."""

@@ -19,10 +19,12 @@ from .contact import (
     NodeState,
     Segments,
     Surface,
+    check_idle_edges,
     covered_mass,
     gather_surface,
     mortar_operator,
     mortar_segments,
+    sees_only_backs,
     surface_dofs,
 )
 from .gap_flow import film_conductance
@@ -240,15 +242,12 @@ class Coupling:
                 reason = (
                     "is prescribed at all its nodes; swap secondary and primary"
                     if part.prescribed.all()
+                    else "turns its back on the primary surface"
+                    if sees_only_backs(self._secondary, self._primary, self.pair.mortar)
                     else "faces no primary edge within the search radius"
                 )
                 raise ValueError(f"pair {name}: the secondary surface {reason}")
-            idle = self._secondary.edges[part.operator.idle_edges]
-            if part.prescribed[idle].all(axis=1).any():
-                raise ValueError(
-                    f"pair {name}: neighbouring nodes of the secondary surface are prescribed, "
-                    "so that nothing ties the edge between them; swap secondary and primary"
-                )
+            check_idle_edges(name, self._secondary, part.operator, part.prescribed)
         for part in self._components:
             if part.is_pressure and self.aperture == 0.0 and not part.tied.any():
                 raise ValueError(

@@ -120,6 +120,9 @@ class ContactProblem:
     def solve(self) -> NewtonResult:
         """Solve for the unknowns, from their current values. Collective.
 
+        The end of a step that converged is the start of the next: sliding pairs measure slip from
+        there. A step that failed leaves everything as it was.
+
         Returns:
             Iterations and residuals.
 
@@ -139,6 +142,7 @@ class ContactProblem:
             u.x.scatter_forward()
             start.append(u.x.array.copy())
         self._start = np.concatenate(start)
+        before = self._raw.copy(), self._condensed.copy()
         self._moved = False
         for coupling in self._sliding:
             coupling.reset()
@@ -148,6 +152,12 @@ class ContactProblem:
         except Exception:
             for u, array in zip(self.unknowns, start, strict=True):
                 u.x.array[:] = array
+            self._raw[:], self._condensed[:] = before
+            for coupling in self._sliding:
+                coupling.reset()
+                coupling.release()
+                coupling.place(self._start)
+            self.condensation.couple(self._dependences)
             raise
         for coupling in self._sliding:
             coupling.commit()
@@ -175,7 +185,7 @@ class ContactProblem:
     @property
     def n_factorisations(self) -> int:
         """How often the tangent has been assembled and factorised."""
-        return 0 if self._system.linear is None else self._linear.n_factorisations
+        return self._system.n_factorisations
 
     def reactions(self, unknown: fem.Function) -> fem.Function:
         """Return what the supports do: the residual at prescribed unknowns, zero elsewhere.
@@ -266,13 +276,21 @@ class ContactProblem:
 
     def _couple(self, pairs: Sequence[ContactPair]) -> None:
         """Put the pairs on the mesh and build the condensation and the films."""
-        arguments = self.unknowns, self.layout, self._constrained
-        self._sliding = [
-            SlidingCoupling(pair, *arguments)
+        arguments = self.unknowns, self.layout
+        tied = [
+            Coupling(pair, *arguments, self._constrained)
             for pair in pairs
-            if not isinstance(pair.friction, Tied)
+            if isinstance(pair.friction, Tied)
         ]
-        tied = [Coupling(pair, *arguments) for pair in pairs if isinstance(pair.friction, Tied)]
+        # A node on the secondary surfaces of two pairs is one in the first, and dropped in others.
+        taken = self._constrained.copy()
+        for coupling in tied:
+            taken |= np.isin(self.layout.global_index, coupling.numbers()[0])
+        self._sliding = []
+        for pair in pairs:
+            if not isinstance(pair.friction, Tied):
+                self._sliding.append(SlidingCoupling(pair, *arguments, taken))
+                taken |= np.isin(self.layout.global_index, self._sliding[-1].numbers()[0])
         self._couplings: list[Coupling | SlidingCoupling] = [*tied, *self._sliding]
         for coupling in tied:
             if coupling.aperture > 0.0 and self._time_step is None:
@@ -331,9 +349,9 @@ class ContactProblem:
             try:
                 for coupling in self._sliding:
                     coupling.place(current)
+                condensation.couple(self._dependences)
             except ValueError as error:
                 raise FloatingPointError(str(error)) from error
-            condensation.couple(self._dependences)
             transmitted = self._raw.copy()
             condensation.transmit(transmitted)
             for coupling in self._sliding:

@@ -22,8 +22,10 @@ from .contact import (
     Kinematics,
     MortarOperator,
     NodeState,
+    check_idle_edges,
     complementarity,
     gather_surface,
+    sees_only_backs,
     surface_dofs,
     tangential_law,
 )
@@ -97,10 +99,21 @@ class SlidingCoupling:
         ]
         marks = constrained.astype(float)
         dropped = layout.gather(self._dofs[0], marks).reshape(-1, 2).any(axis=1)
+        self._dropped = dropped
         if dropped.all():
             raise ValueError(
-                f"pair {pair.name}: the secondary surface is prescribed at all its nodes; swap "
-                "secondary and primary"
+                f"pair {pair.name}: the secondary surface is prescribed at all its nodes, or that "
+                "of another pair; swap secondary and primary"
+            )
+        if sees_only_backs(secondary, primary, pair.mortar):
+            raise ValueError(
+                f"pair {pair.name}: the surfaces turn their backs on each other; the bodies must "
+                "lie on the far sides of them"
+            )
+        if pair.flow is not None and pair.flow.aperture:
+            raise ValueError(
+                f"pair {pair.name}: a given aperture is for tied pairs; between surfaces that "
+                "slide the aperture is the gap: leave it out"
             )
         current = np.concatenate([v.x.array for v in unknowns])
         displacements = self._displacements(current)
@@ -199,7 +212,9 @@ class SlidingCoupling:
         Args:
             current: Local array of the unknowns.
         """
-        self.kinematics.place(self._displacements(current))
+        kinematics = self.kinematics
+        kinematics.place(self._displacements(current))
+        check_idle_edges(self.pair.name, kinematics.secondary, kinematics.operator, self._dropped)
         self._water = self._water_between(current)
         self._couple()
 
@@ -259,7 +274,7 @@ class SlidingCoupling:
         slides = slipping if self._law is not None else closed
         state = np.where(closed, np.where(slides, NodeState.SLIPPING, NodeState.STICKING), 0)
         return InterfaceState(
-            kinematics.points[0],
+            kinematics.points[0] + kinematics.origin,
             normals,
             _dot(traction, normals) + unpaired,
             _dot(traction, _turned(normals)) + unpaired,
@@ -270,7 +285,7 @@ class SlidingCoupling:
             np.where(kept, state, NodeState.UNPAIRED).astype(np.int8),
             operator.D,
             force + operator.C.T @ force,
-            kinematics.points[1],
+            kinematics.points[1] + kinematics.origin,
             -(operator.H.T @ force),
         )
 
@@ -334,14 +349,21 @@ class SlidingCoupling:
         """Write down how secondary unknowns depend on others, without conditions."""
         kinematics = self.kinematics
         numbers = np.concatenate(self._dofs)
-        kept = np.repeat(kinematics.operator.kept, 2)
-        X = scipy.sparse.kron(_coupling(kinematics.operator), scipy.sparse.eye_array(2)).tocsr()
-        self.dependences = [_dependence(numbers, np.flatnonzero(kept), X[kept], 0)]
+        couplings = [(kinematics.operator, kinematics.operator.kept, 0, 2)]
         if self._water is not None:
-            first = sum(map(len, self._dofs[:2]))
             related = self._water.related
-            X = _coupling(kinematics.pressures)[related]
-            self.dependences.append(_dependence(numbers, np.flatnonzero(related), X, first))
+            couplings.append((kinematics.pressures, related, self._first_pressure, 1))
+        self.dependences = []
+        for operator, kept, first, size in couplings:
+            X = _scalar_coupling(operator, kept)
+            secondary = (first + _components(np.flatnonzero(kept), size).ravel()).astype(np.intp)
+            rows, columns = (_components(at, size).ravel() for at in X.coords)
+            coefficients = csr_array(
+                (X.data.repeat(size), (rows, first + columns)), (secondary.size, numbers.size)
+            )
+            self.dependences.append(
+                Dependence(numbers, secondary, coefficients, np.zeros(secondary.size, bool))
+            )
 
     def _constrain(self, force: Float, pressure: Float, stiffness: Float) -> None:
         """Rows of Eq. 69, corrected, in the relative displacements of the kept nodes."""
@@ -352,6 +374,8 @@ class SlidingCoupling:
         law = self._law if self._held is None else self._held
         if law is not None:
             bound, slope = law.bound(pressure)
+            if not (np.isfinite(bound).all() and np.isfinite(slope).all()):
+                raise FloatingPointError(f"pair {self.pair.name}: the friction is not a number")
         sticking = status.sticking & (self._law is not None)
         sign = np.where(status.slipping, status.direction, 0.0)
         friction = sign * slope
@@ -369,51 +393,50 @@ class SlidingCoupling:
                 np.where(sticking, slip, rest * operator.D - friction * carried),
             )
         )
-        kept = np.flatnonzero(operator.kept)
-        rows = self._row_derivatives(constraint, friction, rest, force)
+        kept = operator.kept
         self.dependences[0] = replace(
             self.dependences[0],
-            frame=_frames(normals[kept], tangents[kept]),
-            test_frame=_frames(normals[kept], tests[kept]),
+            frame=_blocks(normals[kept], tangents[kept]).T.tocsr(),
+            test_frame=_blocks(normals[kept], tests[kept]).T.tocsr(),
             stiffness=constraint[kept].ravel(),
             values=values[kept].ravel(),
-            derivative=_interleaved(*(of_rows[kept] for of_rows in rows)),
+            derivative=self._row_derivative(constraint, friction, rest, force),
             transmitted=self._transmitted(kinematics.derivatives, operator.D, force, 0),
         )
 
-    def _row_derivatives(
+    def _row_derivative(
         self, constraint: Float, friction: Float, rest: Float, force: Float
-    ) -> tuple[csr_array, csr_array]:
-        """Derivatives of normal and tangential rows through geometry and water; (n_s, m) each."""
+    ) -> csr_array:
+        """Derivative of the kept nodes' normal and tangential rows through geometry and water."""
         kinematics, water = self.kinematics, self._water
-        normals = kinematics.secondary.normals
-        shape = len(normals), sum(map(len, self._dofs))
+        normals, kept = kinematics.secondary.normals, np.repeat(kinematics.operator.kept, 2)
+        shape = int(kept.sum()), sum(map(len, self._dofs))
         closed, stick = (constraint > 0.0).T
-        k_n, k_t = constraint.T
+        k_n, k_t = constraint.T[..., None]
         free = np.where(stick, 0.0, friction)
-        of_normals = of_tangents = csr_array(shape)
+        zero = np.zeros_like(normals)
+        result = csr_array(shape)
         d = kinematics.derivatives
         if d is not None:
             between = kinematics.between(*kinematics.points)
-            pull = k_n[:, None] * between + np.where(closed[:, None], 0.0, force)
-            of_gap = d.relative(*kinematics.points)
-            of_normals = _rows(pull) @ d.normals + _rows(k_n[:, None] * normals) @ of_gap
-            of_normals = _placed(of_normals, shape)
+            normal = k_n * between + np.where(closed[:, None], 0.0, force)
             # d tau . f = d n . f turned back
-            pull = np.where(stick[:, None], k_t[:, None] * kinematics.slip(), force)
-            pull = _turned_back(pull) + free[:, None] * force
-            of_slip = d.relative(*kinematics.moved)
-            of_tangents = _rows(k_t[:, None] * _turned(normals)) @ of_slip
-            of_tangents = of_tangents + _rows(pull) @ d.normals + diags_array(rest) @ d.D
-            of_tangents = _placed(of_tangents, shape)
+            tangential = np.where(stick[:, None], k_t * kinematics.slip(), force)
+            tangential = _turned_back(tangential) + free[:, None] * force
+            rows = _blocks(normal, tangential) @ d.normals
+            rows += _blocks(k_n * normals, zero) @ d.relative(*kinematics.points)
+            rows += _blocks(zero, k_t * _turned(normals)) @ d.relative(*kinematics.moved)
+            rows += _pairs(np.zeros_like(rest), rest) @ d.D
+            result = _placed(rows[kept], shape)
         if water is not None:
-            carried = _placed(water.force_weights, shape, column=self._first_pressure)
+            carried = _placed(
+                water.force_weights, (len(normals), shape[1]), column=self._first_pressure
+            )
             if d is not None and kinematics.pressure_derivatives is not None:
                 of_force = water.force_derivative(d, kinematics.pressure_derivatives)
-                carried = carried + _placed(of_force, shape)
-            of_normals = of_normals - diags_array((~closed).astype(float)) @ carried
-            of_tangents = of_tangents - diags_array(free) @ carried
-        return of_normals, of_tangents
+                carried = carried + _placed(of_force, carried.shape)
+            result = result - (_pairs((~closed).astype(float), free) @ carried)[kept]
+        return result
 
     def _transmitted(
         self, d: GeometryDerivatives | None, D: Float, force: Float, first: int
@@ -489,30 +512,22 @@ def _significant(kinematics: Kinematics, *lengths: Float) -> list[Float]:
     return [np.where(np.abs(x) > ROUND_OFF * size, x, 0.0) for x in lengths]
 
 
-def _dependence(
-    numbers: npt.NDArray[np.int64], secondary: npt.NDArray[np.intp], X: csr_array, first: int
-) -> Dependence:
-    """Dependence of secondary unknowns; positions count from the field's first unknown."""
-    coefficients = _placed(X, (secondary.size, numbers.size), column=first)
-    return Dependence(numbers, first + secondary, coefficients, np.zeros(secondary.size, bool))
+def _components(numbers: npt.NDArray[np.integer], size: int) -> npt.NDArray[np.integer]:
+    """Numbers of the components of blocks; shape (n, size)."""
+    return size * numbers[:, None] + np.arange(size)
 
 
-def _coupling(operator: MortarOperator) -> csr_array:
-    """Rows of X of both surfaces' nodes; shape (n_s, n_s + n_m)."""
-    return scipy.sparse.hstack((-operator.C, operator.H), format="csr")
+def _scalar_coupling(
+    operator: MortarOperator, kept: npt.NDArray[np.bool_]
+) -> scipy.sparse.coo_array:
+    """Rows of X of some secondary nodes, columns of both surfaces' nodes; (k, n_s + n_m)."""
+    return scipy.sparse.hstack((-operator.C, operator.H), format="csr")[kept].tocoo()
 
 
 def _placed(matrix: csr_array, shape: tuple[int, int], row: int = 0, column: int = 0) -> csr_array:
     """Matrix of a larger shape with the entries from that row and column on."""
     entries = scipy.sparse.coo_array(matrix)
     return csr_array((entries.data, (entries.row + row, entries.col + column)), shape=shape)
-
-
-def _interleaved(normal: csr_array, tangential: csr_array) -> csr_array:
-    """Rows of normals and tangents in turns; shape (2k, m)."""
-    k = normal.shape[0]
-    order = np.arange(2 * k).reshape(2, k).T.ravel()
-    return scipy.sparse.vstack((normal, tangential), format="csr")[order]
 
 
 def _dot(a: Float, b: Float) -> Float:
@@ -530,18 +545,16 @@ def _turned_back(vectors: Float) -> Float:
     return np.column_stack((-vectors[:, 1], vectors[:, 0]))
 
 
-def _rows(vectors: Float) -> scipy.sparse.csr_array:
-    """Matrix (n, 2n) whose row i multiplies rows 2i and 2i + 1 by the vector's components."""
-    n = len(vectors)
-    return scipy.sparse.csr_array(
-        (vectors.ravel(), np.arange(2 * n), np.arange(0, 2 * n + 1, 2)), shape=(n, 2 * n)
-    )
+def _blocks(first: Float, second: Float) -> csr_array:
+    """Block diagonal matrix whose blocks have the vectors as rows; shape (2n, 2n)."""
+    n = len(first)
+    data = np.stack((first, second), axis=1).ravel()
+    columns = np.arange(2 * n).reshape(n, 2).repeat(2, axis=0).ravel()
+    return csr_array((data, columns, np.arange(0, 4 * n + 1, 2)), shape=(2 * n, 2 * n))
 
 
-def _frames(normals: Float, tangents: Float) -> scipy.sparse.csr_array:
-    """Block diagonal matrix with columns normal and tangent; shape (2k, 2k)."""
-    k = len(normals)
-    blocks = np.stack((normals, tangents), axis=2)
-    return scipy.sparse.csr_array(
-        scipy.sparse.bsr_array((blocks, np.arange(k), np.arange(k + 1)), shape=(2 * k, 2 * k))
-    )
+def _pairs(first: Float, second: Float) -> csr_array:
+    """Matrix with the numbers of node i in column i, rows 2i and 2i + 1; shape (2n, n)."""
+    n = len(first)
+    data = np.column_stack((first, second)).ravel()
+    return csr_array((data, np.arange(n).repeat(2), np.arange(2 * n + 1)), shape=(2 * n, n))

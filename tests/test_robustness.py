@@ -8,6 +8,7 @@ from dolfinx import fem
 from dolfinx.mesh import meshtags
 
 import fenicsx_hmcontact as hm
+from fenicsx_hmcontact.domain import Domain, MeshArrays
 from tests.models import LOAD, MATERIAL, Elastic, Porous, fix, integral, largest, stack, total
 
 BASE = {("bottom_0", None): np.zeros(2)}
@@ -388,3 +389,160 @@ def test_refuses_a_time_step_that_is_no_constant(comm):
 def test_refuses_a_time_step_that_is_not_positive(comm, dt):
     with pytest.raises(ValueError, match=f"time_step is {dt}; it must be positive"):
         film(comm).step(dt)
+
+
+# --- sliding pairs -----------------------------------------------------------------------------
+
+FRICTION = hm.CoulombFriction(0.3)
+
+
+def pushed(comm, law=FRICTION, *, shift=0.0, extra=(), flow=None, E=100.0):
+    """A block pushed over a base: problem, its push, displacement, pair and domain."""
+    domain = stack(comm, (7, 5), rows=2, levels=(0.0, 0.5, 0.8))
+    domain.mesh.geometry.x[:, :2] += shift
+    push = fem.Constant(domain.mesh, 0.0)
+    m = Elastic(
+        domain,
+        fixed={("bottom_0", None): np.zeros(2), ("top_1", 0): push} | dict(extra),
+        tractions={"top_1": (0.0, -1.0)},
+        material=hm.LinearElastic(E, 0.3),
+        pairs=[("bottom_1", "top_0", flow, law)],
+    )
+    return m, push
+
+
+def test_a_failed_step_leaves_what_is_reported(comm):
+    m, push = pushed(comm)
+    problem, pair = m.problem, m.pairs[0]
+    push.value = 0.004
+    problem.solve()
+    before = problem.interface(pair), problem.reactions(m.u).x.array.copy(), problem.contacts()
+    problem.newton = hm.NewtonOptions(max_iterations=1)
+    push.value = 0.03
+    with pytest.raises(hm.ConvergenceError):
+        problem.solve()
+    after = problem.interface(pair)
+    for name, value in vars(before[0]).items():
+        np.testing.assert_array_equal(getattr(after, name), value, err_msg=name)
+    np.testing.assert_array_equal(problem.reactions(m.u).x.array, before[1])
+    assert problem.contacts() == before[2]
+    # What comes then is what would have come without the failure.
+    problem.newton = hm.NewtonOptions()
+    problem.solve()
+    other, push = pushed(comm)
+    for push.value in (0.004, 0.03):
+        other.problem.solve()
+    np.testing.assert_array_equal(m.u.x.array, other.u.x.array)
+
+
+@pytest.mark.parametrize("law", [FRICTION, hm.Frictionless()])
+def test_prescribed_neighbours_of_a_sliding_pair_are_refused(comm, law):
+    def clamped(V):
+        dofs = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0.5) & (x[0] < 0.3))
+        return fem.dirichletbc(np.zeros(2), dofs, V)
+
+    m, _ = pushed(comm)
+    tags = m.domain.facet_tags
+    pair = hm.ContactPair(tags, m.domain.surface("bottom_1"), m.domain.surface("top_0"), law)
+    with pytest.raises(ValueError, match=f"pair {pair.name}: neighbouring nodes"):
+        hm.ContactProblem(m.F, m.u, bcs=[*m.problem.bcs, clamped(m.V)], pairs=[pair])
+
+
+def test_map_coordinates_change_nothing(comm):
+    states = []
+    for shift in (0.0, np.array([4e5, 5e6])):
+        m, push = pushed(comm, shift=shift, E=3e6)
+        push.value = 1e-6
+        m.problem.solve()
+        states.append((m.problem.interface(m.pairs[0]), shift))
+        assert m.problem.solve().iterations <= 2
+    (near, _), (far, shift) = states
+    np.testing.assert_allclose(far.points - shift, near.points, atol=1e-8)
+    np.testing.assert_allclose(far.pressure, near.pressure, atol=1e-5)
+    np.testing.assert_array_equal(far.state, near.state)
+
+
+def test_friction_that_is_not_a_number_names_the_pair(comm):
+    class Broken:
+        def bound(self, pressure):
+            return pressure * np.nan, pressure
+
+    m, push = pushed(comm, Broken())
+    push.value = 0.01
+    with pytest.raises(hm.ConvergenceError, match=f"pair {m.pairs[0].name}.* not a number"):
+        m.problem.solve()
+
+
+def test_sliding_pairs_refuse_what_they_cannot_do(comm):
+    domain = stack(comm, (4, 5), rows=2)
+    arguments = dict(fixed={("bottom_0", 0): 0.0, ("bottom_0", 1): 0.0}, drained={"top_1": 0.0})
+    flow = hm.GapFlow(1e-9, aperture=1e-4)
+    with pytest.raises(ValueError, match="given aperture is for tied pairs"):
+        Porous(domain, **arguments, pairs=[("bottom_1", "top_0", flow, FRICTION)])
+    with pytest.raises(ValueError, match="turn their backs"):
+        Porous(domain, **arguments, pairs=[("top_1", "top_0", None, FRICTION)])
+
+
+def corner(comm):
+    """A block on the floor and at the wall of an L-shaped body, whose corner both share."""
+    points, cells, groups, facets, facet_groups, surfaces = [], [], [], [], [], {}
+
+    def grid(x, y, nx, ny, body, inside):
+        X, Y = np.meshgrid(np.linspace(*x, nx + 1), np.linspace(*y, ny + 1))
+        at = np.arange(X.size).reshape(X.shape)
+        i, j = (a.ravel() for a in np.meshgrid(np.arange(nx), np.arange(ny)))
+        i, j = i[inside(i, j)], j[inside(i, j)]
+        a, b, c, d = at[j, i], at[j, i + 1], at[j + 1, i + 1], at[j + 1, i]
+        triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+        used = np.unique(triangles)
+        number = np.full(X.size, -1)
+        number[used] = sum(map(len, points)) + np.arange(used.size)
+        points.append(np.column_stack([X.ravel(), Y.ravel(), 0.0 * X.ravel()])[used])
+        cells.append(number[triangles])
+        groups.append(np.full(len(triangles), body, np.int32))
+        return number[at]
+
+    def surface(name, nodes):
+        surfaces[name] = len(surfaces) + 1
+        facets.append(np.column_stack([nodes[:-1], nodes[1:]]))
+        facet_groups.append(np.full(len(nodes) - 1, surfaces[name], np.int32))
+
+    body = grid((0.0, 1.5), (0.0, 1.0), 15, 10, 1, lambda i, j: (j < 5) | (i >= 10))
+    block = grid((0.2, 1.0), (0.5, 1.0), 7, 5, 2, lambda i, j: i >= 0)
+    surface("base", body[0])
+    surface("floor", body[5, :11])
+    surface("wall", body[5:, 10])
+    surface("bottom", block[0])
+    surface("right", block[:, -1])
+    surface("top", block[-1])
+    arrays = MeshArrays(
+        *map(np.concatenate, (points, cells, groups, facets, facet_groups)),
+        {"body": 1, "block": 2},
+        surfaces,
+    )
+    return Domain.from_arrays(arrays if comm.rank == 0 else None, comm, name="corner")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    "pairs", [[("bottom", "floor"), ("right", "wall")], [("floor", "bottom"), ("wall", "right")]]
+)
+def test_a_block_in_a_corner_touches_floor_and_wall(comm, pairs):
+    domain = corner(comm)
+    push = fem.Constant(domain.mesh, 0.0)
+    m = Elastic(
+        domain,
+        fixed={("base", None): np.zeros(2), ("top", 0): push},
+        tractions={"top": (0.0, -1.0)},
+        material=hm.LinearElastic(1000.0, 0.3),
+        pairs=[(*pair, None, FRICTION) for pair in pairs],
+    )
+    for push.value in (0.002, 0.004):
+        m.problem.solve()
+    states = [m.problem.interface(pair) for pair in m.pairs]
+    total_force = sum(state.force for state in states)
+    sign = 1.0 if pairs[0][0] == "bottom" else -1.0
+    assert sign * total_force[1] == pytest.approx(0.8, rel=1e-9)
+    assert sign * states[1].force[0] < -0.1 and sign * states[0].force[1] > 0.1
+    pushed_by = total(m.problem.reactions(m.u), domain, "top")[0]
+    assert sign * total_force[0] == pytest.approx(-pushed_by, rel=1e-9)

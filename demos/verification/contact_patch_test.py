@@ -28,8 +28,8 @@ from dolfinx import fem
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import fenicsx_hmcontact as hm
-from fenicsx_hmcontact.output.fields import gather_nodal
-from fenicsx_hmcontact.output.figures import field_plot
+from fenicsx_hmcontact.output.fields import arc_length, gather_nodal, write_interface
+from fenicsx_hmcontact.output.figures import contact_plot, field_plot
 from fenicsx_hmcontact.output.report import DemoParser, Report
 from fenicsx_hmcontact.output.root import on_root
 from meshes.patch import patch_blocks
@@ -172,7 +172,7 @@ def main():
     deviation = np.abs([state.pressure - normal, state.shear - shear])
     report.figures["traction_deviation_max"] = np.nanmax(deviation) / options.load
 
-    displacement = gather_nodal(u)
+    displacement, along = gather_nodal(u), arc_length(domain.mesh, pair)
 
     def draw():
         points, cells, values = displacement
@@ -184,9 +184,15 @@ def main():
             label="vertical displacement",
             unit="m",
             edges=True,
+            displacement=values,
+            states=[state],
         )
+        order = np.argsort(along)
+        exact = [(along[order], of_node[order]) for of_node in (normal, shear)]
+        contact_plot(state, options.out / "contact.png", along=along, reference=exact)
 
     on_root(comm, draw)
+    write_interface(comm, options.out / "contact.csv", state)
     report.table()
     report.write(options.report)
 

@@ -44,8 +44,8 @@ from fenicsx_hmcontact.contact.analytic import (
     moment_half_width,
     stick_half_width,
 )
-from fenicsx_hmcontact.output.fields import gather_nodal
-from fenicsx_hmcontact.output.figures import curves, field_plot, save
+from fenicsx_hmcontact.output.fields import gather_nodal, write_interface
+from fenicsx_hmcontact.output.figures import contact_plot, curves, field_plot, save
 from fenicsx_hmcontact.output.report import DemoParser, Report
 from fenicsx_hmcontact.output.root import on_root
 from meshes.hertz import hertz
@@ -183,7 +183,8 @@ class Contact:
         self.a = hertz_half_width(self.load, disc.options.radius, disc.modulus)
         self.p0 = 2.0 * self.load / (np.pi * self.a)
         x = state.points[paired, 0]
-        self.x = x - (self.length * self.p) @ x / (self.length @ self.p)
+        self.middle = (self.length * self.p) @ x / (self.length @ self.p)
+        self.x = x - self.middle
 
     def errors(self):
         """Errors of pressure and half width [-]."""
@@ -219,37 +220,38 @@ class Contact:
 
 
 # %%
-def draw_tractions(contact, path):
-    """Draw nodal tractions over the exact ones."""
+def draw_tractions(contact, state, path):
+    """Draw nodal tractions over the exact ones, and the gap."""
     fine = np.linspace(-1.2, 1.2, 481)
-    x, p0 = contact.x / contact.a, contact.p0
-    series = {"pressure": (x, contact.p / p0)}
-    reference = [(fine, contact.exact_pressure(fine * contact.a) / p0)]
+    exact = [contact.exact_pressure(fine * contact.a)]
     if contact.mu > 0.0:
-        series["shear"] = (x, contact.q / p0)
-        reference.append((fine, contact.exact_shear(fine * contact.a) / p0))
-    figure = curves(
-        series, x=("x / a", ""), y=("traction / p0", ""), reference=reference, title="Contact"
+        exact.append(-contact.exact_shear(fine * contact.a))
+    contact_plot(
+        state,
+        path,
+        along=(state.points[:, 0] - contact.middle) / contact.a,
+        x=("x / a", ""),
+        reference=[(fine, of_place) for of_place in exact],
     )
-    save(figure, path)
 
 
-def draw_bodies(gathered, options):
+def draw_bodies(gathered, state, options):
     """Draw the deformed bodies, all of them and around the contact."""
     points, cells, values = gathered
-    x = points + values
-    for name, width, edges in (("bodies", np.inf, False), ("contact", 3.0, True)):
-        near = np.abs(x[cells]).max(axis=(1, 2)) < width * options.half_width
-        nodes, triangles = np.unique(cells[near], return_inverse=True)
+    near = 3.0 * options.half_width
+    for name, limits in (("bodies", None), ("contact", ((-near, near), (-near, near)))):
         field_plot(
-            x[nodes],
-            triangles.reshape(-1, 3),
-            values[nodes, 1],
+            points,
+            cells,
+            values[:, 1],
             options.out / f"{name}.png",
             label="vertical displacement",
             unit="m",
             title="deformed",
-            edges=edges,
+            edges=limits is not None,
+            displacement=values,
+            states=[] if limits is None else [state],
+            limits=limits,
         )
 
 
@@ -372,10 +374,11 @@ def main():
     gathered = gather_nodal(disc.u)
 
     def draw():
-        draw_tractions(contact, options.out / "tractions.png")
-        draw_bodies(gathered, options)
+        draw_tractions(contact, state, options.out / "tractions.png")
+        draw_bodies(gathered, state, options)
 
     on_root(comm, draw)
+    write_interface(comm, options.out / "contact.csv", state)
     report.table()
     report.write(options.report)
 

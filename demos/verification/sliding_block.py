@@ -36,8 +36,8 @@ from dolfinx import fem, la
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import fenicsx_hmcontact as hm
-from fenicsx_hmcontact.output.fields import gather_nodal
-from fenicsx_hmcontact.output.figures import curves, field_plot, save
+from fenicsx_hmcontact.output.fields import arc_length, gather_nodal, write_interface
+from fenicsx_hmcontact.output.figures import contact_plot, curves, field_plot, save
 from fenicsx_hmcontact.output.report import DemoParser, Report, progress
 from fenicsx_hmcontact.output.root import on_root
 from meshes.sliding import sliding_blocks
@@ -227,7 +227,7 @@ def vertical_stress(block):
     return stress
 
 
-def draw(options, figures, state, displacement, stress):
+def draw(options, figures, state, along, displacement, stress):
     """Resistance against push, tractions and gap along the interface, deformed bodies."""
     out = options.out
     if not options.incline:
@@ -241,26 +241,24 @@ def draw(options, figures, state, displacement, stress):
         )
         figure.axes[0].set_ylim(0.0, 1.1 * max(curve["law"]) or None)
         save(figure, out / "resistance.png")
-    order = np.argsort(state.points[:, 0])
-    x = state.points[order, 0]
-    tractions = {"contact pressure": state.pressure, "shear, against the push": -state.shear}
-    if options.water_pressure:
-        tractions["pore pressure"] = state.pore_pressure
-    series = {name: (x, values[order]) for name, values in tractions.items()}
-    save(curves(series, x=("x", "m"), y=("traction", "Pa")), out / "tractions.png")
-    figure = curves({"gap": (x, state.gap[order])}, x=("x", "m"), y=("gap", "m"))
+    contact_plot(state, out / "tractions.png", along=along)
+    order = np.argsort(along)
+    gap = {"gap": (along[order], state.gap[order])}
+    figure = curves(gap, x=("arc length", "m"), y=("gap", "m"))
     # Not the round-off of closed nodes.
     figure.axes[0].set_ylim(-1e-6 * WIDTH, max(1.1 * state.gap.max(), 1e-5 * WIDTH))
     save(figure, out / "gap.png")
     points, cells, u = displacement
     field_plot(
-        points + u,
+        points,
         cells,
         stress[2],
         out / "stress.png",
         label="vertical effective stress",
         unit="Pa",
         edges=True,
+        displacement=u,
+        states=[state],
     )
 
 
@@ -314,8 +312,10 @@ def main():
     with report.phase("steps"):
         block, state = solve(options, report)
     with report.phase("pictures"):
+        along = arc_length(block.domain.mesh, block.pair)
         fields = gather_nodal(block.u), gather_nodal(vertical_stress(block))
-        on_root(comm, lambda: draw(options, report.figures, state, *fields))
+        on_root(comm, lambda: draw(options, report.figures, state, along, *fields))
+        write_interface(comm, options.out / "contact.csv", state)
     report.table()
     report.write(options.report)
 

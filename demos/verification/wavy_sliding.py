@@ -34,8 +34,14 @@ from dolfinx import fem, la
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import fenicsx_hmcontact as hm
-from fenicsx_hmcontact.output.fields import gather_nodal
-from fenicsx_hmcontact.output.figures import curves, field_plot, save
+from fenicsx_hmcontact.output.fields import (
+    FieldWriter,
+    InterfaceFields,
+    arc_length,
+    gather_nodal,
+    write_interface,
+)
+from fenicsx_hmcontact.output.figures import contact_plot, curves, field_plot, save
 from fenicsx_hmcontact.output.report import DemoParser, Report
 from fenicsx_hmcontact.output.root import on_root
 from meshes.sliding import sliding_blocks
@@ -57,10 +63,14 @@ SHORTEST = 1 / 16
 
 # %%
 class Slider:
-    """The block on its base, ready to be pressed down and moved along."""
+    """The block on its base, ready to be pressed down and moved along.
+
+    Attributes:
+        displacements: Local arrays, one a step that was accepted.
+    """
 
     def __init__(self, options):
-        self.options = options
+        self.options, self.displacements = options, []
         self.domain = domain = sliding_blocks(
             comm,
             width=WIDTH,
@@ -173,6 +183,7 @@ def solve(options, report):
         defects.append(imbalance(slider, state))
         counts.append(iterations)
         states.append(state)
+        slider.displacements.append(slider.u.x.array.copy())
 
     accept(0.0, slider.move(0.0))
     size, failed = step, 0
@@ -200,7 +211,7 @@ def solve(options, report):
 
 
 # %% [markdown]
-# ## Pictures
+# ## Pictures and files
 
 
 # %%
@@ -218,7 +229,19 @@ def vertical_stress(slider):
     return result
 
 
-def draw(options, curve, slides, states, displacement, stress):
+def write(slider, slides, states, out):
+    """Write displacement and contact of all steps for ParaView, and a table of the last one."""
+    mesh, u = slider.domain.mesh, slider.u
+    fields = InterfaceFields(mesh, [slider.pair])
+    with FieldWriter(out / "contact.pvd", mesh, [u, *fields.functions]) as writer:
+        for slide, state, displacement in zip(slides, states, slider.displacements, strict=True):
+            u.x.array[:] = displacement
+            fields.update([state])
+            writer.write(slide)
+    write_interface(comm, out / "contact.csv", states[-1])
+
+
+def draw(options, curve, slides, states, along, displacement, stress):
     """Resistance against slide, pressure and gap along the interface, deformed bodies."""
     out = options.out
     figure = curves(
@@ -241,16 +264,28 @@ def draw(options, curve, slides, states, displacement, stress):
     widest = max(np.nanmax(gap) for _, gap in gaps.values())
     figure.axes[0].set_ylim(-1e-6 * WIDTH, max(1.1 * widest, 1e-5 * WIDTH))
     save(figure, out / "gap.png")
+    contact_plot(states[-1], out / "contact.png", along=along, title=f"slide {slides[-1]:.2f} m")
     points, cells, u = displacement
-    field_plot(
-        points + u,
-        cells,
-        stress[2],
-        out / "stress.png",
-        label="vertical stress",
-        unit="Pa",
-        edges=True,
-    )
+    for name, limits in (("stress", None), ("interface", box(states[-1].points))):
+        field_plot(
+            points,
+            cells,
+            stress[2],
+            out / f"{name}.png",
+            label="vertical stress",
+            unit="Pa",
+            edges=True,
+            displacement=u,
+            states=states[-1:],
+            limits=limits,
+        )
+
+
+def box(points):
+    """Limits of x and y around points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.1 * np.ptp(points, axis=0).max()
+    return np.column_stack((low - margin, high + margin))
 
 
 # %% [markdown]
@@ -293,8 +328,10 @@ def main():
         slider, slides, states = solve(options, report)
     curve = report.figures["curve"]
     with report.phase("pictures"):
+        along = arc_length(slider.domain.mesh, slider.pair)
         fields = gather_nodal(slider.u), gather_nodal(vertical_stress(slider))
-        on_root(comm, lambda: draw(options, curve, slides, states, *fields))
+        on_root(comm, lambda: draw(options, curve, slides, states, along, *fields))
+        write(slider, slides, states, options.out)
     report.table()
     report.write(options.report)
 

@@ -11,10 +11,12 @@ from .mortar import (
     MortarOperator,
     MortarOptions,
     Segments,
+    check_idle_edges,
     covered_mass,
     covered_stiffness,
     mortar_operator,
     mortar_segments,
+    sees_only_backs,
 )
 from .pair import ContactPair
 from .surface import Surface, gather_surface, surface_dofs
@@ -38,6 +40,7 @@ __all__ = [
     "Segments",
     "Surface",
     "Tied",
+    "check_idle_edges",
     "complementarity",
     "covered_mass",
     "covered_stiffness",
@@ -45,6 +48,7 @@ __all__ = [
     "geometry_derivatives",
     "mortar_operator",
     "mortar_segments",
+    "sees_only_backs",
     "surface_dofs",
     "surface_values",
     "tangential_law",

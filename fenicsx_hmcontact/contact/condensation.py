@@ -107,26 +107,28 @@ class Condensation:
             ValueError: If a node is secondary twice, or surfaces depend on each other in a circle.
         """
         n = self.unknowns.size
-        X = csr_array((n, n))
+        parts: list[_Part] = []
         turned = np.zeros(n, np.int64)
         for d in dependences:
             at = np.searchsorted(self.unknowns, d.unknowns)
             turned[at[d.secondary]] += 1
-            X = X + _placed(d.coefficients, at[d.secondary], at, X.shape)
+            parts.append((d.coefficients, at[d.secondary], at))
         if np.any(turned > 1):
             raise ValueError(
                 f"{int(np.sum(turned > 1))} unknowns belong to the secondary surfaces of two "
                 "pairs; let one of the surfaces end before the other, or swap secondary and primary"
             )
-        self.dependence = X
-        self._inverse = _inverse(X)
+        self.dependence = _assembled(parts, n)
+        self._inverse = _inverse(self.dependence)
         self._unturned = diags_array((turned == 0).astype(float), format="csr")
 
     def constrain(self, dependences: Sequence[Dependence]) -> None:
         """Build anew the frames, constraints and derivatives of the coupled unknowns."""
         n = self.unknowns.size
-        shape = (n, n)
-        B = Bt = rows = transmitted = csr_array(shape)
+        frames: list[_Part] = []
+        test_frames: list[_Part] = []
+        rows: list[_Part] = []
+        transmitted: list[_Part] = []
         self.closed = np.zeros(n, bool)
         stiffness, self.offset = np.zeros(n), np.zeros(n)
         for d in dependences:
@@ -134,23 +136,25 @@ class Condensation:
             s = at[d.secondary]
             self.closed[s] |= d.closed
             frame = scipy.sparse.eye_array(s.size) if d.frame is None else d.frame
-            B = B + _placed(frame, s, s, shape)
-            Bt = Bt + _placed(frame if d.test_frame is None else d.test_frame, s, s, shape)
+            frames.append((frame, s, s))
+            test_frames.append((frame if d.test_frame is None else d.test_frame, s, s))
             if d.stiffness is not None and d.values is not None:
                 stiffness[s] = d.stiffness
                 self.offset[s] = np.where(d.stiffness > 0.0, d.stiffness * d.values, d.values)
             if d.derivative is not None:
-                rows = rows + _placed(d.derivative, s, at, shape)
+                rows.append((d.derivative, s, at))
             if d.transmitted is not None:
-                transmitted = transmitted + _placed(d.transmitted, at, at, shape)
-        self._frame = csr_array(B + self._unturned)
+                transmitted.append((d.transmitted, at, at))
+        self._frame = csr_array(_assembled(frames, n) + self._unturned)
         self.transformation = csr_array(self._inverse @ self._frame)
         self.constrained = stiffness > 0.0
         # Entries of constrained rows stay, as zeros, so that the pattern does not change with them.
-        self.tests = csr_array(self._inverse @ (Bt + self._unturned))
+        self.tests = csr_array(self._inverse @ (_assembled(test_frames, n) + self._unturned))
         self.tests.data[self.constrained[self.tests.indices]] = 0.0
-        tangent = (rows + self.tests.T @ transmitted) @ self.transformation
-        self.matrix = csr_array(tangent + diags_array(stiffness))
+        derivative = _assembled(rows, n)
+        if transmitted:
+            derivative = derivative + self.tests.T @ _assembled(transmitted, n)
+        self.matrix = csr_array(derivative @ self.transformation + diags_array(stiffness))
 
     def gather(self, array: Float) -> Float:
         """Owners' values of the touched unknowns, the same on all ranks; shape (n,). Collective."""
@@ -194,15 +198,19 @@ class Condensation:
         return slots
 
 
-def _placed(
-    matrix: csr_array,
-    rows: npt.NDArray[np.intp],
-    columns: npt.NDArray[np.intp],
-    shape: tuple[int, int],
-) -> csr_array:
-    """Entries of a small matrix at their places in a larger one."""
-    entries = scipy.sparse.coo_array(matrix)
-    return csr_array((entries.data, (rows[entries.row], columns[entries.col])), shape=shape)
+_Part = tuple[csr_array, npt.NDArray[np.intp], npt.NDArray[np.intp]]
+"""A matrix, and where its rows and columns are among the touched unknowns."""
+
+
+def _assembled(parts: Sequence[_Part], n: int) -> csr_array:
+    """Add small matrices up at their places in a larger one."""
+    if not parts:
+        return csr_array((n, n))
+    entries = [matrix.tocoo() for matrix, _, _ in parts]
+    data = np.concatenate([e.data for e in entries])
+    rows = np.concatenate([at[e.row] for e, (_, at, _) in zip(entries, parts, strict=True)])
+    columns = np.concatenate([at[e.col] for e, (_, _, at) in zip(entries, parts, strict=True)])
+    return csr_array((data, (rows, columns)), shape=(n, n))
 
 
 def _inverse(dependence: csr_array) -> csr_array:

@@ -47,7 +47,12 @@ class Kinematics:
         displacements: tuple[Float, Float],
     ) -> None:
         self._pair = pair
-        self._rest = secondary, primary
+        # Coordinates about the surfaces themselves: those of a map have few digits left.
+        self._origin = secondary.points.mean(axis=0)
+        self._rest = secondary, primary = (
+            secondary.at(secondary.points - self._origin),
+            primary.at(primary.points - self._origin),
+        )
         self._dropped = dropped
         self._start = displacements
         self._closed_gaps = np.zeros(len(dropped))
@@ -77,8 +82,13 @@ class Kinematics:
 
     @property
     def points(self) -> tuple[Float, Float]:
-        """Coordinates of the nodes of both surfaces [m]; shapes (n_s, 2) and (n_m, 2)."""
+        """Coordinates of the nodes of both surfaces about the origin [m]; (n_s, 2) and (n_m, 2)."""
         return self._points[0], self._points[1]
+
+    @property
+    def origin(self) -> Float:
+        """Centre of the secondary surface at rest [m]."""
+        return self._origin
 
     @property
     def moved(self) -> tuple[Float, Float]:

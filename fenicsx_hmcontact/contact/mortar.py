@@ -336,6 +336,25 @@ def mortar_operator(
     return MortarOperator(D, H, C, coverage, kept, idle)
 
 
+def check_idle_edges(name: str, secondary: Surface, operator: MortarOperator, held: Bool) -> None:
+    """Refuse secondary edges that carry nothing because both their nodes are held otherwise.
+
+    Args:
+        name: Name of the pair.
+        secondary: Its secondary surface.
+        operator: Coupling of the displacements.
+        held: Nodes that are prescribed, or secondary in another pair; shape (n_s,).
+
+    Raises:
+        ValueError: If there is one; it names the pair.
+    """
+    if held[secondary.edges[operator.idle_edges]].all(axis=1).any():
+        raise ValueError(
+            f"pair {name}: neighbouring nodes of the secondary surface are prescribed or belong to "
+            "another pair, so that nothing ties the edge between them; swap secondary and primary"
+        )
+
+
 def covered_parts(segments: Segments, num_edges: int) -> tuple[Float, Float, Float]:
     """Length [m], centre and variance of the covered part of every edge; shapes (num_edges,).
 

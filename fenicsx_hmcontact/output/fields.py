@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Fields of a run: files for ParaView, values at points, nodal values in input order."""
+"""Fields of a run: files for ParaView, tables of contact, values at points and nodes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from dolfinx import fem, geometry, has_adios2, io
 from dolfinx.mesh import Mesh
 
 from .. import _compat
+from ..contact import ContactPair, InterfaceState, NodeState, gather_surface, surface_dofs
 from .root import on_root
 
 INSIDE = 1e-9
@@ -145,6 +146,122 @@ def _nodal_twins(path: Path, mesh: Mesh, functions: list[fem.Function]) -> list[
         twin = fem.functionspace(mesh, (*family, space.value_shape))
         written.append(fem.Function(twin, name=function.name))
     return written
+
+
+class InterfaceFields:
+    """What acts between surfaces as P1 functions, to be written by `FieldWriter`.
+
+    At all nodes but those of the secondary surfaces the state is `NodeState.UNPAIRED` and the
+    others are nan, which ParaView leaves out.
+
+    Attributes:
+        functions: Contact pressure, shear [Pa], gap, slip [m] and contact state.
+    """
+
+    def __init__(self, mesh: Mesh, pairs: Sequence[ContactPair]) -> None:
+        """Find the secondary nodes. Collective.
+
+        Args:
+            mesh: Mesh of the pairs.
+            pairs: Pairs to show.
+
+        Raises:
+            ValueError: If a pair is on another mesh.
+        """
+        space = fem.functionspace(mesh, ("P", 1))
+        names = "contact pressure", "shear", "gap", "slip", "contact state"
+        self.functions = [fem.Function(space, name=name) for name in names]
+        self._nodes = []
+        for pair in pairs:
+            surface = gather_surface(mesh, pair.facet_tags, pair.secondary, pair.name)
+            dofs = surface_dofs(surface, space)
+            self._nodes.append(space.dofmap.index_map.global_to_local(dofs))
+
+    def update(self, states: Sequence[InterfaceState]) -> None:
+        """Take over what acts now.
+
+        Args:
+            states: State of each pair, in their order.
+
+        Raises:
+            ValueError: If they are not those of the pairs.
+        """
+        sizes = [len(state.points) for state in states]
+        if sizes != [len(nodes) for nodes in self._nodes]:
+            raise ValueError(
+                f"states have {sizes} nodes, the secondary surfaces of the pairs "
+                f"{[len(nodes) for nodes in self._nodes]}"
+            )
+        for function in self.functions[:-1]:
+            function.x.array[:] = np.nan
+        self.functions[-1].x.array[:] = NodeState.UNPAIRED
+        for nodes, state in zip(self._nodes, states, strict=True):
+            # A node may be unpaired in one pair and act in the next.
+            here = (nodes >= 0) & (state.state != NodeState.UNPAIRED)
+            tractions = state.pressure, state.shear
+            values = np.array([*tractions, state.gap, state.slip, state.state])
+            for function, nodal in zip(self.functions, values[:, here], strict=True):
+                function.x.array[nodes[here]] = nodal
+
+
+def write_interface(comm: MPI.Comm, path: str | Path, state: InterfaceState) -> None:
+    """Write what acts at the secondary nodes as a table, one node a row. Collective.
+
+    Args:
+        comm: Communicator.
+        path: CSV file; its first line names the columns and their units. The state is the number
+            of a `NodeState`.
+        state: What acts, the same on all ranks.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    columns: dict[str, npt.NDArray[np.number]] = {
+        "x [m]": state.points[:, 0],
+        "y [m]": state.points[:, 1],
+        "n_x [-]": state.normals[:, 0],
+        "n_y [-]": state.normals[:, 1],
+        "pressure [Pa]": state.pressure,
+        "shear [Pa]": state.shear,
+        "pore pressure [Pa]": state.pore_pressure,
+        "jump [Pa]": state.jump,
+        "gap [m]": state.gap,
+        "slip [m]": state.slip,
+        "state [-]": state.state,
+        "length [m]": state.length,
+        "force_x [N/m]": state.forces[:, 0],
+        "force_y [N/m]": state.forces[:, 1],
+    }
+    path = Path(path)
+
+    def write() -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        table = np.column_stack(list(columns.values()))
+        np.savetxt(path, table, "%.17g", delimiter=",", header=",".join(columns), comments="")
+
+    on_root(comm, write)
+
+
+def arc_length(mesh: Mesh, pair: ContactPair) -> npt.NDArray[np.float64]:
+    """Place of each secondary node along its surface, undeformed. Collective.
+
+    Args:
+        mesh: Mesh of the pair.
+        pair: The pair.
+
+    Returns:
+        Length from the first node, the body on the left [m]; shape (n,), as in `InterfaceState`.
+        Parts that do not hang together follow each other, as far apart as their ends.
+
+    Raises:
+        ValueError: If the pair is on another mesh.
+    """
+    surface = gather_surface(mesh, pair.facet_tags, pair.secondary, pair.name)
+    order = np.concatenate(surface.chains)
+    steps = np.hypot(*np.diff(surface.points[order], axis=0).T)
+    result = np.empty(len(order))
+    result[order] = np.append(0.0, np.cumsum(steps))
+    return result
 
 
 def evaluate(

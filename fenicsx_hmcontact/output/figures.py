@@ -24,13 +24,26 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from ..contact import InterfaceState, NodeState
+
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 log = logging.getLogger(__name__)
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colours of curves, told apart by colour-blind eyes too (Okabe and Ito, 2008)."""
+
+MARKERS: dict[NodeState, dict[str, Any]] = {
+    NodeState.OPEN: {"marker": "o", "color": "black", "markerfacecolor": "white"},
+    NodeState.STICKING: {"marker": "s", "color": "black", "markerfacecolor": "#E69F00"},
+    NodeState.SLIPPING: {"marker": "^", "color": "black", "markerfacecolor": "#CC79A7"},
+}
+"""How secondary nodes are marked; unpaired ones are not."""
+
+FLAT = 1e-6
+"""Gaps below this part of the surface's size are drawn as closed: they are round-off."""
 
 MANY = 4
 """A longer legend stands beside the curves, not among them."""
@@ -132,6 +145,85 @@ def _labelled(quantity: str, unit: str) -> str:
     return f"{quantity} [{unit}]" if unit else quantity
 
 
+def contact_plot(
+    state: InterfaceState,
+    path: str | Path,
+    *,
+    along: npt.ArrayLike,
+    x: tuple[str, str] = ("arc length", "m"),
+    reference: Sequence[tuple[npt.ArrayLike, npt.ArrayLike]] = (),
+    reference_label: str = "exact",
+    title: str = "",
+) -> Path:
+    """Draw contact pressure and shear along the secondary surface, and the gap below.
+
+    Markers say which nodes are open, sticking and slipping. The pore pressure is drawn where there
+    is one.
+
+    Args:
+        state: What acts between the surfaces.
+        path: File, in the format of its suffix.
+        along: Where the nodes are along the surface, as from :py:func:`arc_length
+            <fenicsx_hmcontact.output.fields.arc_length>`; shape (n,).
+        x: Quantity and unit of this place.
+        reference: Known tractions [Pa] by place, dashed and black; shapes (k,).
+        reference_label: Their one entry in the legend.
+        title: Title.
+
+    Returns:
+        The file.
+
+    Raises:
+        ValueError: If there is not one finite place a node.
+    """
+    from matplotlib.figure import Figure
+
+    place = np.asarray(along, dtype=np.float64)
+    if place.shape != state.gap.shape or not np.isfinite(place).all():
+        raise ValueError(f"along needs {len(state.gap)} finite numbers, one a secondary node")
+    order = np.argsort(place, kind="stable")
+    tractions = {"contact pressure": state.pressure, "shear": state.shear}
+    if state.pore_pressure.any():
+        tractions["pore pressure"] = state.pore_pressure
+    with style():
+        figure = Figure(figsize=(8.0, 5.6))
+        upper, lower = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+        for name, values in tractions.items():
+            upper.plot(place[order], values[order], label=name)
+        for i, (s, known) in enumerate(reference):
+            label = reference_label if i == 0 else None
+            upper.plot(s, known, "--", color="black", linewidth=1.2, label=label)
+        lower.plot(place[order], state.gap[order], color="black")
+        for axes, ordinates in (
+            (upper, (state.pressure, state.shear)),
+            (lower, (state.gap,)),
+        ):
+            of_node = np.column_stack(ordinates)
+            _mark(axes, state.state, np.repeat(place[:, None], len(ordinates), axis=1), of_node)
+        upper.set(ylabel="traction [Pa]", title=title)
+        upper.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        lower.set(xlabel=_labelled(*x), ylabel="gap [m]")
+        size = float(np.ptp(state.points, axis=0).max())
+        low, high = np.nanmin(state.gap, initial=0.0), np.nanmax(state.gap, initial=FLAT * size)
+        margin = 0.1 * (high - low)
+        lower.set_ylim(low - margin, high + margin)
+    return save(figure, path)
+
+
+def _mark(
+    axes: Axes,
+    states: npt.NDArray[np.int8],
+    x: npt.NDArray[np.float64],
+    y: npt.NDArray[np.float64],
+) -> None:
+    """Mark points of nodes by their state; states of shape (n,), points (n, ...)."""
+    for kind, marker in MARKERS.items():
+        here = states == kind
+        if here.any():
+            points = x[here].ravel(), y[here].ravel()
+            axes.plot(*points, linestyle="", label=kind.name.lower(), **marker)
+
+
 def field_plot(
     points: npt.ArrayLike,
     cells: npt.ArrayLike,
@@ -145,6 +237,9 @@ def field_plot(
     clim: tuple[float, float] | None = None,
     edges: bool = False,
     length_unit: str = "m",
+    displacement: npt.ArrayLike | None = None,
+    states: Sequence[InterfaceState] = (),
+    limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> Path:
     """Draw a field on triangles with matplotlib.
 
@@ -157,26 +252,36 @@ def field_plot(
         unit: Its unit; empty for a pure number.
         title: Title.
         cmap: Colour map.
-        clim: Smallest and largest value of the colours; those of the field by default.
+        clim: Smallest and largest value of the colours; those of the field in sight by default.
         edges: Whether to draw the triangles.
         length_unit: Unit of the points.
+        displacement: Of the points, to draw them where they have moved; shape (N, 2).
+        states: Contact pairs whose secondary nodes are marked by state, where they are now.
+        limits: Smallest and largest x, and y, to be seen; all of the field by default.
 
     Returns:
         The file.
 
     Raises:
-        ValueError: If shapes do not fit or a number is not finite.
+        ValueError: If shapes do not fit, a number is not finite, or limits hold no triangle.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
     from matplotlib.tri import Triangulation
 
     x, triangles, field = _checked(points, cells, values, label)
-    low, high = clim or _limits(field)
+    if displacement is not None:
+        moved = np.asarray(displacement, dtype=np.float64)
+        if moved.shape != x.shape or not np.isfinite(moved).all():
+            raise ValueError(f"{label}: displacements need {len(x)} finite pairs of numbers")
+        x = x + moved
+    box = np.array([x.min(axis=0), x.max(axis=0)]).T if limits is None else np.array(limits, float)
+    low, high = clim or _limits(_in_sight(x, triangles, field, box, label))
     colors: dict[str, Any] = {"cmap": cmap, "vmin": low, "vmax": high}
     mesh = Triangulation(x[:, 0], x[:, 1], triangles)
     # Room for labels and bar around a field that keeps its aspect.
-    size = np.maximum(np.ptp(x, axis=0), 1e-12 * np.ptp(x))
+    size = np.ptp(box, axis=1)
+    size = np.maximum(size, 1e-12 * size.max())
     width, height = np.maximum(size * min(7.5 / size[0], 5.5 / size[1]), (1.2, 1.6))
     with style():
         figure = Figure(figsize=(width + 2.4, height + 1.1))
@@ -190,6 +295,13 @@ def field_plot(
             axes.triplot(mesh, color="black", linewidth=0.3, alpha=0.4)
         outline = x[_outline(triangles)]
         axes.add_collection(LineCollection(list(outline), colors="black", linewidths=1.0))
+        if states:
+            nodes = np.concatenate([state.points for state in states])
+            _mark(axes, np.concatenate([state.state for state in states]), *nodes.T)
+            if axes.get_legend_handles_labels()[0]:
+                figure.legend(loc="outside lower center", ncols=len(MARKERS))
+        if limits is not None:
+            axes.set(xlim=box[0], ylim=box[1])
         bar = figure.colorbar(drawn, ax=axes, label=_labelled(label, unit), pad=0.03)
         bar.outline.set_visible(False)
         axes.set(aspect="equal", title=title)
@@ -328,6 +440,22 @@ def _limits(field: npt.NDArray[np.float64]) -> tuple[float, float]:
         margin = 0.1 * largest or 1.0
         return low - margin, high + margin
     return low, high
+
+
+def _in_sight(
+    x: npt.NDArray[np.float64],
+    triangles: npt.NDArray[np.int64],
+    field: npt.NDArray[np.float64],
+    box: npt.NDArray[np.float64],
+    label: str,
+) -> npt.NDArray[np.float64]:
+    """Values of triangles that lie at least partly between the limits of x and y; box (2, 2)."""
+    corners = x[triangles]
+    seen = (corners.max(axis=1) >= box[:, 0]) & (corners.min(axis=1) <= box[:, 1])
+    inside = seen.all(axis=1)
+    if not inside.any():
+        raise ValueError(f"{label}: no triangle lies within the limits {box.tolist()}")
+    return field[triangles[inside]] if len(field) == len(x) else field[inside]
 
 
 def _checked(

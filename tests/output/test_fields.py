@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem, has_adios2
-from dolfinx.mesh import create_mesh, create_unit_square
+from dolfinx.mesh import create_mesh, create_unit_square, locate_entities_boundary, meshtags
 
+import fenicsx_hmcontact as hm
+from fenicsx_hmcontact.contact import gather_surface
 from fenicsx_hmcontact.domain.partition import vertex_ghost_partitioner
-from fenicsx_hmcontact.output.fields import FieldWriter, evaluate, gather_nodal
+from fenicsx_hmcontact.output.fields import (
+    FieldWriter,
+    InterfaceFields,
+    arc_length,
+    evaluate,
+    gather_nodal,
+    write_interface,
+)
 
 
 def blocks(columns, rows, bottom):
@@ -361,3 +370,165 @@ def test_writer_refuses_what_it_cannot_write(comm, shared_tmp_path):
         (shared_tmp_path / "file").touch()
     with pytest.raises(OSError):
         FieldWriter(shared_tmp_path / "file" / "run.pvd", mesh, [p])
+
+
+# --- contact ------------------------------------------------------------------------------------
+
+
+def tagged(mesh, *sides):
+    """Tags 1, 2, ... of boundary facets, by a mark of their nodes; upper and lower block apart."""
+    mesh.topology.create_connectivity(1, 2)
+    mesh.topology.create_connectivity(2, 1)
+    to_cell = mesh.topology.connectivity(1, 2)
+    upper = np.zeros(len(mesh.geometry.dofmaps[0]), bool)
+    upper[is_upper(mesh)] = True
+    facets, values = [np.zeros(0, np.int32)], []
+    for i, (above, mark) in enumerate(sides):
+        found = locate_entities_boundary(mesh, 1, mark)
+        found = found[upper[to_cell.array[to_cell.offsets[found]]] == above]
+        facets.append(found)
+        values.append(np.full(len(found), i + 1, np.int32))
+    facets, order = np.unique(np.concatenate(facets), return_index=True)
+    return meshtags(mesh, 1, facets, np.concatenate(values)[order])
+
+
+def interface(mesh):
+    """Pair of the two blocks, the upper one secondary."""
+
+    def between(x):
+        return np.isclose(x[1], 0.5)
+
+    return hm.ContactPair(tagged(mesh, (True, between), (False, between)), 1, 2)
+
+
+def acting(mesh, pair):
+    """A state whose values are functions of x; the node at x = 0.4 is unpaired."""
+    points = gather_surface(mesh, pair.facet_tags, pair.secondary, "").points
+    x, n = points[:, 0], len(points)
+    unpaired = np.isclose(x, 0.4)
+    hidden = np.where(unpaired, np.nan, 0.0)
+    kinds = np.where(unpaired, -1, np.round(5 * x).astype(int) % 3).astype(np.int8)
+    return hm.InterfaceState(
+        points=points,
+        normals=np.tile((0.6, 0.8), (n, 1)),
+        pressure=1.0 + x / 3.0 + hidden,
+        shear=-2.0 * x + hidden,
+        pore_pressure=7.0 * x,
+        jump=x**2,
+        gap=1e-3 * x + hidden,
+        slip=x / 7.0,
+        state=kinds,
+        length=np.full(n, 0.2),
+        forces=np.column_stack((3.0 * x, 4.0 * x)),
+        primary_points=points,
+        primary_forces=np.zeros((n, 2)),
+    )
+
+
+@pytest.mark.mpi
+def test_what_acts_is_read_back_from_a_file(two_blocks, shared_tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    mesh = two_blocks[0]
+    pair = interface(mesh)
+    state, fields = acting(mesh, pair), InterfaceFields(mesh, [pair])
+    # The second update must leave nothing of the first.
+    fields.update([state])
+    u = fem.Function(fem.functionspace(mesh, ("P", 1, (2,))), name="u")
+    path = shared_tmp_path / "contact.pvd"
+    with FieldWriter(path, mesh, [u, *fields.functions]) as writer:
+        writer.write(0.0)
+        fields.update([state])
+        writer.write(1.0)
+    mesh.comm.Barrier()
+    if mesh.comm.rank > 0:
+        return
+    reader = pyvista.get_reader(path)
+    reader.set_active_time_value(1.0)
+    grid = reader.read()[0]
+    # Nodes of the upper block are fifths along the interface, those of the lower one thirds.
+    cells = grid.cells.reshape(-1, 4)[:, 1:]
+    upper = np.unique(cells[grid.points[cells].mean(axis=1)[:, 1] > 0.5])
+    secondary = np.zeros(len(grid.points), bool)
+    secondary[upper] = np.isclose(grid.points[upper, 1], 0.5)
+    x = grid.points[:, 0]
+    paired = secondary & ~np.isclose(x, 0.4)
+    assert len(np.unique(x[paired].round(9))) == 5
+    kind = np.where(paired, np.round(5 * x).astype(int) % 3, -1)
+    np.testing.assert_array_equal(grid["contact state"], kind)
+    expected = {
+        "contact pressure": 1.0 + x / 3.0,
+        "shear": -2.0 * x,
+        "gap": 1e-3 * x,
+        "slip": x / 7.0,
+    }
+    for name, values in expected.items():
+        shown = np.where(paired, values, np.nan)
+        np.testing.assert_allclose(grid[name], shown, rtol=1e-14, atol=1e-15, err_msg=name)
+
+
+@pytest.mark.mpi
+def test_states_of_other_pairs_are_refused(two_blocks):
+    mesh = two_blocks[0]
+    pair = interface(mesh)
+    fields = InterfaceFields(mesh, [pair])
+    with pytest.raises(ValueError, match=r"states have \[6, 6\] nodes, .* \[6\]"):
+        fields.update([acting(mesh, pair)] * 2)
+
+
+@pytest.mark.mpi
+def test_table_of_what_acts(two_blocks, shared_tmp_path):
+    mesh = two_blocks[0]
+    state = acting(mesh, interface(mesh))
+    path = shared_tmp_path / "new" / "contact.csv"
+    write_interface(mesh.comm, path, state)
+    mesh.comm.Barrier()
+    header, *rows = path.read_text().splitlines()
+    names = header.split(",")
+    assert len(rows) == 6 and len(set(names)) == 14
+    assert all(name.endswith("]") for name in names)
+    table = dict(zip(names, np.genfromtxt(path, delimiter=",", skip_header=1).T, strict=True))
+    expected = {
+        "x [m]": state.points[:, 0],
+        "y [m]": state.points[:, 1],
+        "n_x [-]": 0.6,
+        "n_y [-]": 0.8,
+        "pressure [Pa]": state.pressure,
+        "shear [Pa]": state.shear,
+        "pore pressure [Pa]": state.pore_pressure,
+        "jump [Pa]": state.jump,
+        "gap [m]": state.gap,
+        "slip [m]": state.slip,
+        "state [-]": state.state,
+        "length [m]": 0.2,
+        "force_x [N/m]": state.forces[:, 0],
+        "force_y [N/m]": state.forces[:, 1],
+    }
+    assert set(names) == set(expected)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(table[name], values, err_msg=name)
+    if mesh.comm.rank == 0:
+        (shared_tmp_path / "file").touch()
+    with pytest.raises(OSError):
+        write_interface(mesh.comm, shared_tmp_path / "file" / "contact.csv", state)
+
+
+@pytest.mark.mpi
+def test_arc_length(two_blocks):
+    mesh = two_blocks[0]
+    # Around a corner, anticlockwise: the body is on the left.
+    corner = (True, lambda x: np.isclose(x[1], 0.5) | np.isclose(x[0], 1.0))
+    tags = tagged(mesh, corner, (False, lambda x: np.isclose(x[1], 0.5)))
+    points = gather_surface(mesh, tags, 1, "").points
+    expected = points[:, 0] + points[:, 1] - 0.5
+    s = arc_length(mesh, hm.ContactPair(tags, 1, 2))
+    np.testing.assert_allclose(s, expected, atol=1e-14)
+
+    # Two sides, upwards on the right and downwards on the left, 1 m apart at the top or bottom.
+    sides = (True, lambda x: np.isclose(x[0], 0.0) | np.isclose(x[0], 1.0))
+    tags = tagged(mesh, sides, (False, lambda x: np.isclose(x[1], 0.5)))
+    points = gather_surface(mesh, tags, 1, "").points
+    s = arc_length(mesh, hm.ContactPair(tags, 1, 2))
+    right = np.isclose(points[:, 0], 1.0)
+    along = np.where(right, points[:, 1] - 0.5, 1.0 - points[:, 1])
+    first = right == right[np.argmin(s)]
+    np.testing.assert_allclose(s, along + np.where(first, 0.0, 0.5 + 1.0), atol=1e-14)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
+from fenicsx_hmcontact import InterfaceState
 from fenicsx_hmcontact.output import figures
 from fenicsx_hmcontact.output.root import on_root
 
@@ -210,3 +211,151 @@ def test_a_picture_that_fails_is_an_error(tmp_path, monkeypatch):
 def test_wrong_arrays_are_refused(tmp_path, draw, points, cells, values, message):
     with pytest.raises(ValueError, match=message):
         draw(points, cells, values, tmp_path / "a.png", label="pore pressure", unit="Pa")
+
+
+# --- contact ------------------------------------------------------------------------------------
+
+X = np.array([2.0, 0.0, 4.0, 1.0, 3.0])
+KINDS = np.array([1, 0, -1, 2, 1], np.int8)
+
+
+def contact(**values):
+    """What acts on five nodes at X, in no order, the last of which along X is unpaired."""
+    points = np.column_stack((X, np.zeros(5)))
+    normals = np.tile((0.0, 1.0), (5, 1))
+    pressure = np.where(KINDS == -1, np.nan, 10.0 * X)
+    gap = np.where(KINDS == -1, np.nan, np.where(KINDS == 0, 0.5, 1e-17))
+    zero = np.zeros(5)
+    fields = dict(
+        points=points,
+        normals=normals,
+        pressure=pressure,
+        shear=-0.3 * pressure,
+        pore_pressure=zero,
+        jump=zero,
+        gap=gap,
+        slip=zero,
+        state=KINDS,
+        length=np.ones(5),
+        forces=np.zeros((5, 2)),
+        primary_points=points,
+        primary_forces=np.zeros((5, 2)),
+    )
+    return InterfaceState(**(fields | values))
+
+
+@pytest.fixture
+def drawn(monkeypatch, tmp_path):
+    """Figures that were saved."""
+    result, save = [], figures.save
+    monkeypatch.setattr(figures, "save", lambda f, path: (result.append(f), save(f, path))[1])
+    return result
+
+
+def lines(axes):
+    """Data of lines with a label, of those with one label together, sorted."""
+    result = {}
+    for line in axes.get_lines():
+        result.setdefault(line.get_label(), []).append(line.get_xydata())
+    return {name: np.concatenate(parts) for name, parts in result.items()}
+
+
+def test_contact_plot(tmp_path, drawn):
+    reference = [([0, 5], [1, 1]), ([0, 5], [2, 2])]
+    path = figures.contact_plot(
+        contact(), tmp_path / "new" / "contact.png", along=X, reference=reference, title="Strip"
+    )
+    assert path.read_bytes().startswith(b"\x89PNG")
+    upper, lower = drawn[0].axes
+    assert upper.get_shared_x_axes().joined(upper, lower) and upper.get_title() == "Strip"
+    labels = upper.get_ylabel(), lower.get_ylabel(), lower.get_xlabel()
+    assert labels == ("traction [Pa]", "gap [m]", "arc length [m]")
+    above, below = lines(upper), lines(lower)
+    names = [text.get_text() for text in upper.get_legend().get_texts()]
+    tractions = ["contact pressure", "shear", "exact"]
+    assert names == [*tractions, "open", "sticking", "slipping"]
+    s = np.arange(5.0)
+    known = [0, 10, 20, 30, np.nan]
+    np.testing.assert_array_equal(above["contact pressure"], np.column_stack((s, known)))
+    np.testing.assert_allclose(above["shear"][:, 1], -0.3 * np.array(known))
+    np.testing.assert_array_equal(above["sticking"], [[2, 20], [2, -6], [3, 30], [3, -9]])
+    np.testing.assert_array_equal(above["slipping"], [[1, 10], [1, -3]])
+    np.testing.assert_array_equal(below["open"], [[0, 0.5]])
+    assert len(below["sticking"]) == 2 and len(below["slipping"]) == 1
+    markers = {line.get_label(): line.get_marker() for line in upper.get_lines()}
+    assert len({markers[name] for name in names[3:]}) == 3
+
+
+def test_contact_plot_shows_the_pore_pressure_and_no_round_off(tmp_path, drawn):
+    closed = contact(pore_pressure=np.full(5, 7.0), gap=np.linspace(-1e-16, 1e-16, 5))
+    figures.contact_plot(closed, tmp_path / "a.png", along=X / 2.0, x=("x / a", ""))
+    upper, lower = drawn[0].axes
+    np.testing.assert_array_equal(lines(upper)["pore pressure"][:, 1], 7.0)
+    low, high = lower.get_ylim()
+    assert -1e-6 < low < 0.0 and 1e-7 < high < 1e-5
+    assert lower.get_xlabel() == "x / a"
+
+
+@pytest.mark.parametrize("along", [X[:-1], np.where(X == 0.0, np.nan, X), X[:, None]])
+def test_contact_plot_needs_a_place_of_every_node(tmp_path, along):
+    with pytest.raises(ValueError, match="along needs 5 finite numbers"):
+        figures.contact_plot(contact(), tmp_path / "a.png", along=along)
+
+
+def test_field_plot_of_what_has_moved(tmp_path, drawn):
+    # The lower half becomes 2 m by 0.5 m, and its grey patch with it.
+    displacement = np.column_stack((np.zeros(6), np.where(POINTS[:, 1] == 1.0, -0.5, 0.0)))
+    path = figures.field_plot(
+        POINTS,
+        CELLS,
+        [0.75, 0.75, 0, 0],
+        tmp_path / "moved.png",
+        label="p",
+        unit="Pa",
+        cmap="gray",
+        clim=(0, 1),
+        displacement=displacement,
+        states=[contact()],
+    )
+    (rows, columns), _ = largest_patch(path, 0.75)
+    assert (columns.stop - columns.start) / (rows.stop - rows.start) == pytest.approx(4, rel=0.05)
+    marks = lines(drawn[0].axes[0])
+    np.testing.assert_array_equal(marks["open"], [[0, 0]])
+    np.testing.assert_array_equal(marks["sticking"], [[2, 0], [3, 0]])
+    np.testing.assert_array_equal(marks["slipping"], [[1, 0]])
+    (legend,) = drawn[0].legends
+    assert [text.get_text() for text in legend.get_texts()] == ["open", "sticking", "slipping"]
+
+
+@pytest.mark.parametrize("by", ["point", "triangle"])
+def test_field_plot_of_a_part(tmp_path, drawn, by):
+    values = [1, 2, 3, 4] if by == "triangle" else [1, 1, 2, 2, 5, 5]
+    box = (0.5, 1.5), (1.5, 1.9)
+    figures.field_plot(
+        POINTS, CELLS, values, tmp_path / "part.png", label="p", unit="Pa", limits=box
+    )
+    axes = drawn[0].axes[0]
+    assert (axes.get_xlim(), axes.get_ylim()) == box
+    # Colours are those of the upper half, in sight.
+    assert axes.collections[0].get_clim() == ((3, 4) if by == "triangle" else (2, 5))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"displacement": np.zeros((4, 2))}, "displacements need 6 finite pairs"),
+        ({"displacement": np.full((6, 2), np.nan)}, "displacements need 6 finite pairs"),
+        ({"limits": ((3, 4), (0, 1))}, "no triangle lies within the limits"),
+    ],
+)
+def test_field_plot_refuses_what_does_not_fit(tmp_path, options, message):
+    with pytest.raises(ValueError, match=f"pore pressure: {message}"):
+        figures.field_plot(
+            POINTS,
+            CELLS,
+            range(6),
+            tmp_path / "a.png",
+            label="pore pressure",
+            unit="Pa",
+            **options,
+        )

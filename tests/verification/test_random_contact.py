@@ -184,6 +184,7 @@ def test_some_random_scenes(comm):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_two_hundred_random_scenes(comm):
     check(comm, sorted(set(range(200)) - HARD))
 

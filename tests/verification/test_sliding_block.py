@@ -57,7 +57,7 @@ def test_law_is_summed_over_closed_nodes_where_others_open(
     # A law over all of the length would be another.
     assert abs(figures["resistance"] - (mu * (1.0 - water) + cohesion)) > 1e-3
     if motion == "small":
-        assert figures["newton_mean"] <= 4.0
+        assert figures["newton_mean"] <= 4.5
 
 
 @pytest.mark.parametrize(("secondary", "primary"), [(7, 23), (16, 11)])

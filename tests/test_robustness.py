@@ -8,6 +8,7 @@ from dolfinx import fem
 from dolfinx.mesh import meshtags
 
 import fenicsx_hmcontact as hm
+from fenicsx_hmcontact.contact import Kinematics, gather_surface
 from fenicsx_hmcontact.domain import Domain, MeshArrays
 from tests.models import LOAD, MATERIAL, Elastic, Porous, fix, integral, largest, stack, total
 
@@ -546,3 +547,83 @@ def test_a_block_in_a_corner_touches_floor_and_wall(comm, pairs):
     assert sign * states[1].force[0] < -0.1 and sign * states[0].force[1] > 0.1
     pushed_by = total(m.problem.reactions(m.u), domain, "top")[0]
     assert sign * total_force[0] == pytest.approx(-pushed_by, rel=1e-9)
+
+
+def apart(comm, gap, **pair):
+    """Two blocks of 1 m, the upper one moved by a gap in y at the start."""
+    domain = stack(comm, (4, 6), rows=2)
+    m = Elastic(domain, fixed=BASE | {("top_1", 0): 0.0, ("top_1", 1): gap})
+    upper = domain.cell_tags.find(domain.bodies["block_1"])
+    m.u.x.array[2 * np.unique(m.V.dofmap.list[upper]) + 1] = gap
+    tags, surfaces = domain.facet_tags, (domain.surface("bottom_1"), domain.surface("top_0"))
+    pair = hm.ContactPair(tags, *surfaces, friction=FRICTION, **pair)
+    return m, hm.ContactProblem(m.F, m.u, bcs=m.problem.bcs, pairs=[pair]), pair
+
+
+def test_a_deep_overlap_at_the_start_is_refused(comm):
+    apart(comm, -0.1)
+    with pytest.raises(ValueError, match=r"overlap by 0\.2 m at .* more than a facet"):
+        apart(comm, -0.2)
+    apart(comm, -0.2, close_gaps=0.3)
+    with pytest.raises(ValueError, match="close_gaps is -1"):
+        apart(comm, 0.0, close_gaps=-1.0)
+
+
+@pytest.mark.parametrize("gap", [0.01, -0.01])
+def test_small_gaps_at_the_start_may_count_as_touching(comm, gap):
+    for close_gaps in (0.0, 0.005, 0.02):
+        _, problem, pair = apart(comm, gap, close_gaps=close_gaps)
+        problem.solve()
+        state = problem.interface(pair)
+        stays_open = gap > close_gaps
+        np.testing.assert_allclose(state.gap, gap if stays_open else 0.0, atol=1e-12)
+        # What counts as touching presses with nothing.
+        force = largest(state.forces, comm)
+        presses = gap < -close_gaps
+        assert force > 1e4 if presses else force < 1e-9 * MATERIAL.E * abs(gap)
+
+
+def test_state_tells_slip_forces_and_moment(comm):
+    m, push = pushed(comm, hm.CoulombFriction(0.1))
+    for push.value in (0.02, 0.05):
+        m.problem.solve()
+    state = m.problem.interface(m.pairs[0])
+    sliding = state.state == hm.NodeState.SLIPPING
+    assert sliding.sum() > 3 and np.all(state.state[~sliding] >= hm.NodeState.UNPAIRED)
+    # Nearly rigid: the last step moved the block by 0.03, against the tangent or along it.
+    np.testing.assert_allclose(np.abs(state.slip[sliding]), 0.03, rtol=0.1)
+    tractions = state.pressure[:, None] * state.normals
+    tractions += state.shear[:, None] * np.column_stack((state.normals[:, 1], -state.normals[:, 0]))
+    np.testing.assert_allclose(state.forces, state.length[:, None] * tractions, atol=1e-12)
+    np.testing.assert_allclose(state.force, -state.primary_forces.sum(axis=0), atol=1e-13)
+    assert state.force[1] == pytest.approx(1.0, rel=1e-9)
+    # The load acts in the middle of the block.
+    arm = state.points - [0.3, 0.2]
+    expected = np.sum(arm[:, 0] * state.forces[:, 1] - arm[:, 1] * state.forces[:, 0])
+    assert state.moment((0.3, 0.2)) == pytest.approx(expected)
+    assert state.moment() == pytest.approx(expected + 0.3 * state.force[1] - 0.2 * state.force[0])
+
+
+@pytest.mark.mpi
+def test_nodes_at_the_smallest_coverage_do_not_come_and_go(comm):
+    domain = stack(comm, (5, 4), levels=(0.0, 0.5, 1.0), rows=1)
+    tags = domain.facet_tags
+    lower, upper = (
+        gather_surface(domain.mesh, tags, domain.surface(name), name)
+        for name in ("top_0", "bottom_1")
+    )
+    options = hm.MortarOptions(min_coverage=0.3)
+    pair = hm.ContactPair(tags, 1, 2, friction=FRICTION, mortar=options)
+    zero = np.zeros_like(lower.points), np.zeros_like(upper.points)
+    kinematics = Kinematics(pair, lower, upper, np.zeros(len(lower.nodes), bool), zero)
+    end = int(np.argmin(lower.points[:, 0]))
+    kept = {}
+    for shift in (0.0, 0.1, 0.13, 0.1):
+        kinematics.place((zero[0], zero[1] + [shift, 0.0]))
+        coverage = kinematics.operator.coverage[end]
+        kept.setdefault(shift, []).append((bool(kinematics.operator.kept[end]), coverage))
+    # The end node stands for 0.1 m. Where its coverage is between half the limit and the limit it
+    # stays what it was.
+    assert 0.15 < kept[0.1][0][1] < 0.3 and kept[0.13][0][1] < 0.15
+    assert [k for k, _ in kept[0.1]] == [True, False]
+    assert kept[0.0][0][0] and not kept[0.13][0][0]

@@ -196,6 +196,7 @@ class Coupling:
             np.where(paired, NodeState.STICKING, NodeState.UNPAIRED).astype(np.int8),
             self._components[0].operator.D,
             forces,
+            float(self.aperture * self._components[0].operator.D.sum()),
             self._primary.points,
             opposite,
         )

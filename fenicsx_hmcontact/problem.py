@@ -289,14 +289,14 @@ class ContactProblem:
         self._sliding = []
         for pair in pairs:
             if not isinstance(pair.friction, Tied):
-                self._sliding.append(SlidingCoupling(pair, *arguments, taken))
+                self._sliding.append(SlidingCoupling(pair, *arguments, taken, self._time_step))
                 taken |= np.isin(self.layout.global_index, self._sliding[-1].numbers()[0])
         self._couplings: list[Coupling | SlidingCoupling] = [*tied, *self._sliding]
-        for coupling in tied:
-            if coupling.aperture > 0.0 and self._time_step is None:
+        filled = [c.pair for c in tied if c.aperture > 0.0] + [c.pair for c in self._sliding]
+        for pair in filled:
+            if pair.flow is not None and self._time_step is None:
                 raise ValueError(
-                    f"pair {coupling.pair.name} has water in a gap of given aperture: the problem "
-                    "needs time_step"
+                    f"pair {pair.name} has water in its gap: the problem needs time_step"
                 )
         numbers = [coupling.numbers() for coupling in self._couplings]
         none = np.zeros(0, np.int64)
@@ -357,10 +357,20 @@ class ContactProblem:
             for coupling in self._sliding:
                 coupling.update(transmitted, self._diagonal, self._moved, damped)
             condensation.constrain(self._dependences)
+            self._take_up_water()
         added = condensation.offset
         if self._film.nnz:
             added = added + self._dt() * (self._film @ condensation.relative(current))
         condensation.condense(self._condensed, added)
+
+    def _take_up_water(self) -> None:
+        """Add what films take up and lead away to the residual."""
+        for coupling in self._sliding:
+            numbers, volumes = coupling.volumes()
+            mine = self.layout.owns(numbers)
+            at = self.layout.owned[numbers[mine] - self.layout.first]
+            self._raw[at] += volumes[mine]
+            self._condensed[at] += volumes[mine]
 
     def increment(self) -> None:
         """Assemble the tangent where it has changed, solve, and add the increment. Collective."""

@@ -29,7 +29,7 @@ from .contact import (
     surface_dofs,
     tangential_law,
 )
-from .gap_flow import GapPressure
+from .gap_flow import GapPressure, MovingFilm
 from .solvers import FieldLayout
 
 Float = npt.NDArray[np.float64]
@@ -55,6 +55,7 @@ class SlidingCoupling:
         unknowns: Fields of the problem; one of them is the displacement.
         layout: Their numbering.
         constrained: Which local unknowns are prescribed.
+        time_step: Length of the step [s]; needed where water flows in the gap.
 
     Attributes:
         pair: The pair.
@@ -78,8 +79,10 @@ class SlidingCoupling:
         unknowns: Sequence[fem.Function],
         layout: FieldLayout,
         constrained: npt.NDArray[np.bool_],
+        time_step: fem.Constant | None,
     ) -> None:
         self.pair = pair
+        self._time_step = time_step
         self._law = tangential_law(pair.friction)
         self._layout = layout
         u = _field(pair, unknowns, layout, 2, "displacement")
@@ -129,6 +132,7 @@ class SlidingCoupling:
         self._held: HeldBound | None = None
         self._last_slip = self.kinematics.slip()
         self._committed = self.status
+        self._aperture = self._covered_aperture()
         self.place(current)
 
     def numbers(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -196,10 +200,21 @@ class SlidingCoupling:
         """Let the bounds of friction follow the pressures again."""
         self._held = None
 
+    def volumes(self) -> tuple[npt.NDArray[np.int64], Float]:
+        """Water that the film takes up or leads away in the step, to add to the residual.
+
+        Returns:
+            Global numbers of pore pressures, and volumes [m^3/m].
+        """
+        if self._film is None:
+            return np.zeros(0, np.int64), np.zeros(0)
+        return np.concatenate(self._dofs[2:]), self._film.volumes
+
     def commit(self) -> None:
         """Take the current state as the start of the next step."""
         self._last_slip = self.kinematics.slip()
         self.kinematics.start_step()
+        self._aperture = self._covered_aperture()
         self._committed = self.status
 
     def reset(self) -> None:
@@ -216,6 +231,7 @@ class SlidingCoupling:
         kinematics.place(self._displacements(current))
         check_idle_edges(self.pair.name, kinematics.secondary, kinematics.operator, self._dropped)
         self._water = self._water_between(current)
+        self._film: MovingFilm | None = None
         self._couple()
 
     def update(
@@ -256,7 +272,7 @@ class SlidingCoupling:
         trial_pressure = np.where(before.closed, pressure, pressure - constant * gap)
         self._constrain(force, np.maximum(trial_pressure, 0.0), stiffness)
         if self._water is not None:
-            self._tie_pressures(residual, diagonal)
+            self._let_water_flow(residual, diagonal)
 
     def state(self, residual: Float) -> InterfaceState:
         """What acts between the surfaces (Eq. 71). Collective.
@@ -280,11 +296,12 @@ class SlidingCoupling:
             _dot(traction, _turned(normals)) + unpaired,
             zero if water is None else water.mean,
             zero if water is None else water.drop,
-            kinematics.gap() + unpaired,
+            kinematics.aperture() + unpaired,
             _dot(self._last_slip, _turned(normals)),
             np.where(kept, state, NodeState.UNPAIRED).astype(np.int8),
             operator.D,
             force + operator.C.T @ force,
+            float(operator.D @ kinematics.gap()),
             kinematics.points[1] + kinematics.origin,
             -(operator.H.T @ force),
         )
@@ -448,27 +465,45 @@ class SlidingCoupling:
         m = sum(map(len, self._dofs))
         return _placed(-d.forces(per_length), (m, m), row=first)
 
-    def _tie_pressures(self, residual: Float, diagonal: Float) -> None:
-        """Make the pore pressure continuous where the solids touch: no drop (after Eq. 92)."""
-        kinematics, water, numbers = self.kinematics, self._water, self._dofs[2]
-        assert water is not None
-        stiffness = np.abs(self._layout.gather(numbers, diagonal))
-        stiffness = np.where(self._watertight(), stiffness, 0.0)
-        related = water.related
-        shape = len(related), sum(map(len, self._dofs))
-        d = kinematics.pressure_derivatives
-        derivative = csr_array(shape)
-        if d is not None:
-            of_drop = d.relative(*(values[:, None] for values in water.values))
-            derivative = _placed(diags_array(stiffness) @ of_drop, shape)
-        flow = np.where(related, self._layout.gather(numbers, residual), 0.0)[:, None]
+    def _let_water_flow(self, residual: Float, diagonal: Float) -> None:
+        """Write the water in the gap down; where the solids touch there is no pressure drop."""
+        kinematics, water, flow = self.kinematics, self._water, self.pair.flow
+        assert water is not None and flow is not None and self._time_step is not None
+        closed = self._watertight()
+        film = self._film = MovingFilm(
+            flow, kinematics, water, closed, self._aperture, float(self._time_step.value)
+        )
+        stiffness = np.abs(self._layout.gather(self._dofs[2], diagonal))
+        stiffness = np.where(closed, stiffness, 0.0)
+        related, first, n = water.related, self._first_pressure, len(closed)
+        m = sum(map(len, self._dofs))
+        of_volumes, of_leak = film.of_apertures()
+        of_aperture = kinematics.aperture_derivative()
+        rows = _placed(of_leak @ of_aperture, (n, m))
+        added = _placed(of_volumes @ of_aperture, (m, m), row=first)
+        added = added + _placed(film.of_pressures, (m, m), first, first)
+        d, d_p = kinematics.derivatives, kinematics.pressure_derivatives
+        if d is not None and d_p is not None:
+            added = added + _placed(film.geometry_derivative(d, d_p), (m, m), row=first)
+            of_drop = d_p.relative(*(values[:, None] for values in water.values))
+            conductance = diags_array(stiffness) + film.of_drops
+            rows = rows + _placed(conductance @ of_drop, (n, m))
+        volumes = np.where(related, self._layout.gather(self._dofs[2], residual), 0.0)
+        volumes[related] += film.volumes[:n][related]
+        passed_on = self._transmitted(d_p, kinematics.pressures.D, volumes[:, None], first)
         self.dependences[1] = replace(
             self.dependences[1],
             stiffness=stiffness[related],
-            values=np.where(stiffness > 0.0, water.drop, 0.0)[related],
-            derivative=derivative[related],
-            transmitted=self._transmitted(d, kinematics.pressures.D, flow, self._first_pressure),
+            values=np.where(stiffness > 0.0, water.drop, film.leak)[related],
+            derivative=rows[related],
+            transmitted=added if passed_on is None else added + passed_on,
+            relative=film.of_drops[related][:, related],
         )
+
+    def _covered_aperture(self) -> Float:
+        """Aperture where there is a film, nan elsewhere; shape (n_s,)."""
+        kinematics = self.kinematics
+        return np.where(kinematics.operator.kept, kinematics.aperture(), np.nan)
 
     def _watertight(self) -> npt.NDArray[np.bool_]:
         """Nodes without a gap: closed, or prescribed beside a closed one; shape (n_s,)."""

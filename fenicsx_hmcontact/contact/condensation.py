@@ -46,8 +46,10 @@ class Dependence:
         values: Residual of the constraint [unit of a], or what is added to the equation; (n,).
         derivative: Derivative of their rows with respect to the unknowns, besides that of the
             forces in them; shape (n, m). None for zero.
-        transmitted: Derivative of X^T r with respect to the unknowns at fixed r: what the nodes
-            pass on to others; shape (m, m). None where the geometry does not move.
+        transmitted: Derivative of X^T r with respect to the unknowns at fixed r, what the nodes
+            pass on to others, and of what is added to the residual r; shape (m, m). None for zero.
+        relative: Derivative of their rows with respect to the relative unknowns themselves, where a
+            difference of large unknowns would lose digits; shape (n, n). None for zero.
     """
 
     unknowns: npt.NDArray[np.int64]
@@ -60,6 +62,7 @@ class Dependence:
     values: Float | None = None
     derivative: csr_array | None = None
     transmitted: csr_array | None = None
+    relative: csr_array | None = None
 
 
 class Condensation:
@@ -129,6 +132,7 @@ class Condensation:
         test_frames: list[_Part] = []
         rows: list[_Part] = []
         transmitted: list[_Part] = []
+        relative: list[_Part] = []
         self.closed = np.zeros(n, bool)
         stiffness, self.offset = np.zeros(n), np.zeros(n)
         for d in dependences:
@@ -145,6 +149,8 @@ class Condensation:
                 rows.append((d.derivative, s, at))
             if d.transmitted is not None:
                 transmitted.append((d.transmitted, at, at))
+            if d.relative is not None:
+                relative.append((d.relative, s, s))
         self._frame = csr_array(_assembled(frames, n) + self._unturned)
         self.transformation = csr_array(self._inverse @ self._frame)
         self.constrained = stiffness > 0.0
@@ -154,7 +160,8 @@ class Condensation:
         derivative = _assembled(rows, n)
         if transmitted:
             derivative = derivative + self.tests.T @ _assembled(transmitted, n)
-        self.matrix = csr_array(derivative @ self.transformation + diags_array(stiffness))
+        added = diags_array(stiffness) + _assembled(relative, n)
+        self.matrix = csr_array(derivative @ self.transformation + added)
 
     def gather(self, array: Float) -> Float:
         """Owners' values of the touched unknowns, the same on all ranks; shape (n,). Collective."""

@@ -35,11 +35,13 @@ class InterfaceState:
         shear: Shear traction on the secondary surface along the tangent (n_y, -n_x) [Pa]; (n,).
         pore_pressure: Mean pore pressure of both faces [Pa], zero without water; (n,).
         jump: Pore pressure of the secondary less that of the primary face [Pa]; (n,).
-        gap: Weighted gap (Eq. 70) [m], positive where open; nan at unpaired nodes; (n,).
+        gap: Distance of the surfaces [m], positive where open: the weighted gap (Eq. 70) less what
+            dropped neighbours add to it; nan at unpaired nodes; (n,).
         slip: Relative displacement along the tangent in the last step [m]; (n,).
         state: `NodeState` of each node; (n,).
         length: Part of the secondary surface that a node stands for [m]; (n,).
         forces: Forces of the primary surface, solid and water, on the nodes [N/m]; shape (n, 2).
+        volume: Volume of the gap [m^3/m].
         primary_points: Coordinates of the nodes of the primary surface [m]; shape (k, 2).
         primary_forces: Forces of the secondary surface on them [N/m]; shape (k, 2).
     """
@@ -55,6 +57,7 @@ class InterfaceState:
     state: npt.NDArray[np.int8]
     length: Float
     forces: Float
+    volume: float
     primary_points: Float
     primary_forces: Float
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array, diags_array, eye_array, hstack
 
 from .linearisation import GeometryDerivatives, geometry_derivatives
 from .mortar import MortarOperator, Segments, mortar_operator, mortar_segments
@@ -111,6 +112,47 @@ class Kinematics:
         across = np.einsum("ia,ia->i", self.between(*self._points), self.secondary.normals)
         gap: Float = across - self._closed_gaps
         return gap
+
+    @property
+    def share(self) -> Float:
+        """Part of a node's shape function that is not that of its dropped neighbours; (n_s,)."""
+        share: Float = 1.0 / (1.0 + self.operator.C.sum(axis=1))
+        return share
+
+    def aperture(self) -> Float:
+        """Distance of the surfaces at the nodes [m]; the weighted gap may count dropped ones."""
+        return self.share * self.gap()
+
+    def gap_weights(self) -> csr_array:
+        """Derivative of the gap at fixed normals and coupling; shape (n_s, 2 n_s + 2 n_m)."""
+        operator, normals = self.operator, self.secondary.normals
+        n = len(normals)
+        coupling = hstack((eye_array(n) + operator.C, -operator.H), format="csr")
+        coupling = (diags_array(operator.kept.astype(float)) @ coupling).tocoo()
+        values = coupling.data[:, None] * normals[coupling.row]
+        rows = coupling.row.repeat(2)
+        columns = (2 * coupling.col[:, None] + np.arange(2)).ravel()
+        return csr_array((values.ravel(), (rows, columns)), (n, 2 * coupling.shape[1]))
+
+    def aperture_derivative(self) -> csr_array:
+        """Derivative of the aperture with respect to the coordinates; (n_s, 2 n_s + 2 n_m)."""
+        result = self.gap_weights()
+        d, normals = self.derivatives, self.secondary.normals
+        if d is not None:
+            n = len(normals)
+            at = np.arange(0, 2 * n + 1, 2)
+            for vectors, matrix in (
+                (self.between(*self._points), d.normals),
+                (normals, d.relative(*self._points)),
+            ):
+                rows = csr_array((vectors.ravel(), np.arange(2 * n), at), (n, 2 * n))
+                result = result + rows @ matrix
+        result = diags_array(self.share) @ result
+        if d is not None:
+            ones, none = np.ones((len(normals), 1)), np.zeros((len(self._points[1]), 1))
+            factor = self.share**2 * self.gap() * self.operator.kept
+            result = result - diags_array(factor) @ d.relative(ones, none)
+        return csr_array(result)
 
     def slip(self) -> Float:
         """Relative displacement since the start of the step [m]; shape (n_s, 2)."""

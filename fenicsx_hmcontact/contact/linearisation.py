@@ -180,19 +180,21 @@ class GeometryDerivatives:
             *mean,
         )
 
-    def mass(self, values: Float) -> csr_array:
+    def mass(self, values: Float, tests: GeometryDerivatives | None = None) -> csr_array:
         """Differentiate `covered_mass` of the kept nodes, times values that stay.
 
         Args:
             values: Nodal values; shape (n_s,).
+            tests: What cuts the shape functions of the rows, where that are other dropped nodes.
 
         Returns:
             Derivative [unit of the values]; shape (n_s, n_x).
         """
-        q, shapes, sign, nodal = self.integrals, self._dual[..., 0], self._sign, self._of(values)
+        q, nodal, rows = self.integrals, self._of(values), self if tests is None else tests
         # N_i N_j = (N_i(c) + s_i (xi - c) / 2) (N_j(c) + s_j (xi - c) / 2)
-        mean = np.sum(shapes * nodal, axis=1, keepdims=True)
-        slope = np.sum(sign * nodal, axis=1, keepdims=True)
+        mean = np.sum(self._dual[..., 0] * nodal, axis=1, keepdims=True)
+        slope = np.sum(self._sign * nodal, axis=1, keepdims=True)
+        shapes, sign = rows._dual[..., 0], rows._sign
         factors = [shapes * mean, (sign * mean + shapes * slope) / 2.0, sign * slope / 4.0]
         coefficients = np.stack(factors, axis=-1)
         entries = coefficients, q.nodes[..., None], q.part_rows[:, None, :3]

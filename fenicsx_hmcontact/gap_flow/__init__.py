@@ -3,6 +3,7 @@
 
 from .film import film_conductance, mean_pressure
 from .law import GapFlow
+from .moving_film import MovingFilm
 from .pressure import GapPressure
 
-__all__ = ["GapFlow", "GapPressure", "film_conductance", "mean_pressure"]
+__all__ = ["GapFlow", "GapPressure", "MovingFilm", "film_conductance", "mean_pressure"]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, hstack
 
-from ..contact import GeometryDerivatives, Kinematics, covered_mass
+from ..contact import GeometryDerivatives, Kinematics, assemble, covered_shapes
 
 Float = npt.NDArray[np.float64]
 
@@ -78,26 +78,28 @@ class GapPressure:
         """
         operator = self._kinematics.operator
         plain = self._mass @ self.mean
-        share = self._share
+        share = self._kinematics.share
         secondary, primary = (values[:, None] for values in self.values)
         of_mean = diags_array(-0.5 * self.related) @ pressure.relative(secondary, primary)
         of_share = displacement.relative(np.ones_like(secondary), np.zeros_like(primary))
         result = self._force_of_mean @ of_mean
-        result += diags_array(share) @ displacement.mass(self.mean)
+        result += diags_array(share) @ pressure.mass(self.mean, displacement)
         result -= diags_array(share**2 * plain * operator.kept) @ of_share
         return csr_array(result)
 
     @cached_property
     def _mass(self) -> csr_array:
         kinematics = self._kinematics
-        return covered_mass(kinematics.secondary, kinematics.segments, kinematics.operator.kept)
-
-    @property
-    def _share(self) -> Float:
-        """Part of the force on the shape function of a node that is not its dropped neighbour's."""
-        operator = self._kinematics.operator
-        return 1.0 / (1.0 + operator.C.sum(axis=1))
+        surface, segments = kinematics.secondary, kinematics.segments
+        tests, trials = (
+            covered_shapes(surface, segments, operator.kept)
+            for operator in (kinematics.operator, kinematics.pressures)
+        )
+        nodes = surface.edges[segments.secondary_edge]
+        products = segments.weight[:, None, None] * tests[:, :, None] * trials[:, None, :]
+        n = len(surface.nodes)
+        return assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
 
     @cached_property
     def _force_of_mean(self) -> csr_array:
-        return diags_array(self._share) @ self._mass
+        return diags_array(self._kinematics.share) @ self._mass

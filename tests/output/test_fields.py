@@ -420,6 +420,7 @@ def acting(mesh, pair):
         state=kinds,
         length=np.full(n, 0.2),
         forces=np.column_stack((3.0 * x, 4.0 * x)),
+        volume=0.0,
         primary_points=points,
         primary_forces=np.zeros((n, 2)),
     )

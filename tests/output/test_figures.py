@@ -238,6 +238,7 @@ def contact(**values):
         state=KINDS,
         length=np.ones(5),
         forces=np.zeros((5, 2)),
+        volume=0.0,
         primary_points=points,
         primary_forces=np.zeros((5, 2)),
     )

@@ -908,7 +908,7 @@ def test_refuses_flow_without_pressure(comm):
 @pytest.mark.mpi
 def test_refuses_an_aperture_without_time_step(parts):
     domain, *_, u, p, _, _, F = parts
-    with pytest.raises(ValueError, match="given aperture: the problem needs time_step"):
+    with pytest.raises(ValueError, match="in its gap: the problem needs time_step"):
         hm.ContactProblem(F, [u, p], pairs=[pair_of(domain, flow=OPEN, name="crack")])
 
 

@@ -73,6 +73,7 @@ class Block:
         mesh.topology.create_connectivity(1, 2)
         V = fem.functionspace(mesh, ("P", 1, (2,)))
         self.u = u = fem.Function(V, name="displacement")
+        self.dt = fem.Constant(mesh, 1e9)
         self.material = hm.LinearElastic(options.E, options.nu)
         dc = hm.node_cells_measure(options.smoothing)
         bcs = [fem.dirichletbc(np.zeros(2), self.dofs(V, "base_bottom"), V)]
@@ -83,11 +84,14 @@ class Block:
             unknowns = [u, p]
             flux = hm.darcy_flux(p, options.permeability, options.unit_weight)
             F = hm.equilibrium(self.material.stress(u), p, v, smoothed=dc)
-            F -= ufl.dot(flux, ufl.grad(q)) * dc
+            F -= self.dt * ufl.dot(flux, ufl.grad(q)) * dc
             sides = ("block_top", "block_right", "block_left", "base_right", "base_left")
             outside = np.unique(np.concatenate([self.dofs(Q, side) for side in sides]))
             bcs.append(fem.dirichletbc(options.water_pressure, outside, Q))
-            flow = hm.GapFlow(options.permeability, unit_weight=options.unit_weight)
+            # Steps so long that all pressures are those of the reservoir outside.
+            flow = hm.GapFlow(
+                options.permeability, unit_weight=options.unit_weight, aperture_cap=1e-3
+            )
         else:
             v, unknowns, flow = ufl.TestFunction(V), u, None
             F = hm.equilibrium(self.material.stress(u), None, v, smoothed=dc)
@@ -119,7 +123,7 @@ class Block:
             unknowns,
             bcs=bcs,
             pairs=[self.pair],
-            time_step=fem.Constant(mesh, 1.0),
+            time_step=self.dt,
         )
 
     def dofs(self, space, surface):

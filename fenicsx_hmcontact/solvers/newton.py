@@ -128,6 +128,9 @@ ROUND_OFF = 1e2 * float(np.finfo(np.float64).eps)
 PATIENCE = 8
 """Iterations without convergence after which a step is guarded as if its sets cycled."""
 
+CONVERGING = 0.1
+"""Decrease of the residual in an iteration with which whole steps are left alone."""
+
 HELD = 1e-6
 """Tolerance at which held bounds move on."""
 
@@ -169,7 +172,8 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
     _residual(system, worst)
     seen, since, rounds, guarded, calm, ready, last = {system.sets}, 0, 0, 0, 0, True, b""
     while result.iterations < options.max_iterations:
-        if since >= PATIENCE and not guarded:
+        converging = system.settled and len(worst) > 1 and worst[-1] < CONVERGING * worst[-2]
+        if since >= PATIENCE and not guarded and not converging:
             rounds += 1
             guarded, calm, ready = GUARDED * rounds, 0, True
         if guarded and ready:

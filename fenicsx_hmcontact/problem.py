@@ -146,16 +146,14 @@ class ContactProblem:
         self._moved = False
         for coupling in self._sliding:
             coupling.reset()
-            coupling.release()
         try:
-            result = solve_newton(self, self.newton)
+            result = self._iterate()
         except Exception:
             for u, array in zip(self.unknowns, start, strict=True):
                 u.x.array[:] = array
             self._raw[:], self._condensed[:] = before
             for coupling in self._sliding:
                 coupling.reset()
-                coupling.release()
                 coupling.place(self._start)
             self.condensation.couple(self._dependences)
             raise
@@ -289,7 +287,7 @@ class ContactProblem:
         self._sliding = []
         for pair in pairs:
             if not isinstance(pair.friction, Tied):
-                self._sliding.append(SlidingCoupling(pair, *arguments, taken, self._time_step))
+                self._sliding.append(SlidingCoupling(pair, *arguments, taken, self._dt))
                 taken |= np.isin(self.layout.global_index, self._sliding[-1].numbers()[0])
         self._couplings: list[Coupling | SlidingCoupling] = [*tied, *self._sliding]
         filled = [c.pair for c in tied if c.aperture > 0.0] + [c.pair for c in self._sliding]
@@ -363,6 +361,14 @@ class ContactProblem:
             added = added + self._dt() * (self._film @ condensation.relative(current))
         condensation.condense(self._condensed, added)
 
+    def _iterate(self) -> NewtonResult:
+        """Solve by Newton's method; a system that stays singular names what is free."""
+        try:
+            return solve_newton(self, self.newton)
+        except SingularSystemError as error:
+            motions = free_motions(self, self._domain)
+            raise SingularSystemError("; ".join(motions) or str(error)) from error
+
     def _take_up_water(self) -> None:
         """Add what films take up and lead away to the residual."""
         for coupling in self._sliding:
@@ -389,11 +395,7 @@ class ContactProblem:
             lifted += change
         owned = self.layout.owned
         b = np.where(self._free, -lifted[owned], prescribed[owned])
-        try:
-            increment = self._linear.solve(b)
-        except SingularSystemError as error:
-            motions = free_motions(self, self._domain)
-            raise SingularSystemError("; ".join(motions) or str(error)) from error
+        increment = self._linear.solve(b)
         full = np.zeros(self.layout.n_local)
         full[owned] = increment
         self.layout.update_ghosts(full)

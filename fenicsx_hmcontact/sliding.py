@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,7 +55,7 @@ class SlidingCoupling:
         unknowns: Fields of the problem; one of them is the displacement.
         layout: Their numbering.
         constrained: Which local unknowns are prescribed.
-        time_step: Length of the step [s]; needed where water flows in the gap.
+        time_step: Returns the length of the step [s]; called where water flows in the gap.
 
     Attributes:
         pair: The pair.
@@ -71,15 +71,13 @@ class SlidingCoupling:
         Collective.
     """
 
-    aperture = 0.0
-
     def __init__(
         self,
         pair: ContactPair,
         unknowns: Sequence[fem.Function],
         layout: FieldLayout,
         constrained: npt.NDArray[np.bool_],
-        time_step: fem.Constant | None,
+        time_step: Callable[[], float],
     ) -> None:
         self.pair = pair
         self._time_step = time_step
@@ -113,7 +111,7 @@ class SlidingCoupling:
                 f"pair {pair.name}: the surfaces turn their backs on each other; the bodies must "
                 "lie on the far sides of them"
             )
-        if pair.flow is not None and pair.flow.aperture:
+        if pair.flow is not None and pair.flow.aperture is not None:
             raise ValueError(
                 f"pair {pair.name}: a given aperture is for tied pairs; between surfaces that "
                 "slide the aperture is the gap: leave it out"
@@ -141,13 +139,14 @@ class SlidingCoupling:
 
     def counts(self) -> dict[str, int]:
         """Number of open, sticking and slipping nodes."""
-        status, kept = self.status, self.kinematics.operator.kept
+        closed, slipping = self.status.closed, self.status.slipping
+        counts = {"open": int((self.kinematics.operator.kept & ~closed).sum())}
         if self._law is None:
-            return {"open": int((kept & ~status.closed).sum()), "closed": int(status.closed.sum())}
-        return {
-            "open": int((kept & ~status.closed).sum()),
-            "sticking": int(status.sticking.sum()),
-            "slipping": int(status.slipping.sum()),
+            return counts | {"closed": int(closed.sum())}
+        # Held friction acts on open nodes too; they count as open.
+        return counts | {
+            "sticking": int((closed & ~slipping).sum()),
+            "slipping": int((closed & slipping).sum()),
         }
 
     def violations(self, held: bool) -> tuple[npt.NDArray[np.int64], Float]:
@@ -197,8 +196,9 @@ class SlidingCoupling:
         self._held = HeldBound(self._held.values + self._relaxation * missing)
 
     def release(self) -> None:
-        """Let the bounds of friction follow the pressures again."""
+        """Let the bounds of friction follow the pressures again, on closed nodes alone."""
         self._held = None
+        self.status = self.status.restricted(self.status.closed, self._law)
 
     def volumes(self) -> tuple[npt.NDArray[np.int64], Float]:
         """Water that the film takes up or leads away in the step, to add to the residual.
@@ -215,11 +215,14 @@ class SlidingCoupling:
         self._last_slip = self.kinematics.slip()
         self.kinematics.start_step()
         self._aperture = self._covered_aperture()
+        self.release()
         self._committed = self.status
 
     def reset(self) -> None:
         """Go back to the sets of the start of the step."""
+        self._held = None
         self.status = self._committed
+        self.kinematics.restart_step()
 
     def place(self, current: Float) -> None:
         """Follow the surfaces, and couple them where they are. Collective.
@@ -468,10 +471,10 @@ class SlidingCoupling:
     def _let_water_flow(self, residual: Float, diagonal: Float) -> None:
         """Write the water in the gap down; where the solids touch there is no pressure drop."""
         kinematics, water, flow = self.kinematics, self._water, self.pair.flow
-        assert water is not None and flow is not None and self._time_step is not None
+        assert water is not None and flow is not None
         closed = self._watertight()
         film = self._film = MovingFilm(
-            flow, kinematics, water, closed, self._aperture, float(self._time_step.value)
+            flow, kinematics, water, closed, self._aperture, self._time_step()
         )
         stiffness = np.abs(self._layout.gather(self._dofs[2], diagonal))
         stiffness = np.where(closed, stiffness, 0.0)

@@ -477,9 +477,13 @@ def test_friction_that_is_not_a_number_names_the_pair(comm):
 def test_sliding_pairs_refuse_what_they_cannot_do(comm):
     domain = stack(comm, (4, 5), rows=2)
     arguments = dict(fixed={("bottom_0", 0): 0.0, ("bottom_0", 1): 0.0}, drained={"top_1": 0.0})
-    flow = hm.GapFlow(1e-9, aperture=1e-4)
-    with pytest.raises(ValueError, match="given aperture is for tied pairs"):
-        Porous(domain, **arguments, pairs=[("bottom_1", "top_0", flow, FRICTION)])
+    for aperture in (1e-4, 0.0):
+        flow = hm.GapFlow(1e-9, aperture=aperture)
+        with pytest.raises(ValueError, match="given aperture is for tied pairs"):
+            Porous(domain, **arguments, pairs=[("bottom_1", "top_0", flow, FRICTION)])
+    m = Porous(domain, **arguments, pairs=[("bottom_1", "top_0", hm.GapFlow(1e-9), FRICTION)])
+    with pytest.raises(ValueError, match=r"time_step is 0\.0; it must be positive"):
+        m.step(0.0)
     with pytest.raises(ValueError, match="turn their backs"):
         Porous(domain, **arguments, pairs=[("top_1", "top_0", None, FRICTION)])
 
@@ -627,3 +631,12 @@ def test_nodes_at_the_smallest_coverage_do_not_come_and_go(comm):
     assert 0.15 < kept[0.1][0][1] < 0.3 and kept[0.13][0][1] < 0.15
     assert [k for k, _ in kept[0.1]] == [True, False]
     assert kept[0.0][0][0] and not kept[0.13][0][0]
+
+    # A rejected step leaves no trace.
+    kinematics.place(zero)
+    kinematics.start_step()
+    between = zero[0], zero[1] + [0.1, 0.0]
+    kinematics.place((zero[0], zero[1] + [0.13, 0.0]))
+    kinematics.restart_step()
+    kinematics.place(between)
+    assert kinematics.operator.kept[end]

@@ -63,6 +63,7 @@ class Kinematics:
         gap = self.gap()
         near = self.operator.kept & (np.abs(gap) <= pair.close_gaps)
         self._closed_gaps[near] = gap[near]
+        self._covered_start = self._covered
 
     secondary: Surface
     primary: Surface
@@ -78,8 +79,13 @@ class Kinematics:
             self._couple(*(s.at(x) for s, x in zip(self._rest, self._points, strict=True)))
 
     def start_step(self) -> None:
-        """Measure slip from here on."""
+        """Measure slip from here on, and remember which nodes are covered."""
         self._start = self._u
+        self._covered_start = self._covered
+
+    def restart_step(self) -> None:
+        """Forget which nodes were covered since the start of the step."""
+        self._covered = self._covered_start
 
     @property
     def points(self) -> tuple[Float, Float]:
@@ -120,11 +126,11 @@ class Kinematics:
         return share
 
     def aperture(self) -> Float:
-        """Distance of the surfaces at the nodes [m]; the weighted gap may count dropped ones."""
+        """Distance of the surfaces at the nodes [m], where the gap counts dropped ones; (n_s,)."""
         return self.share * self.gap()
 
     def gap_weights(self) -> csr_array:
-        """Derivative of the gap at fixed normals and coupling; shape (n_s, 2 n_s + 2 n_m)."""
+        """Derivative of the gap at fixed normals and coupling [-]; (n_s, 2 n_s + 2 n_m)."""
         operator, normals = self.operator, self.secondary.normals
         n = len(normals)
         coupling = hstack((eye_array(n) + operator.C, -operator.H), format="csr")
@@ -135,7 +141,7 @@ class Kinematics:
         return csr_array((values.ravel(), (rows, columns)), (n, 2 * coupling.shape[1]))
 
     def aperture_derivative(self) -> csr_array:
-        """Derivative of the aperture with respect to the coordinates; (n_s, 2 n_s + 2 n_m)."""
+        """Derivative of the aperture with respect to the coordinates [-]; (n_s, 2 n_s + 2 n_m)."""
         result = self.gap_weights()
         d, normals = self.derivatives, self.secondary.normals
         if d is not None:

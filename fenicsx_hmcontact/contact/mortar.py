@@ -413,7 +413,8 @@ def covered_mass(
     Returns:
         Matrix [m, times the unit of the factor], zero for dropped nodes; shape (n_s, n_s).
     """
-    return _gram(secondary, segments, covered_shapes(secondary, segments, kept), factor)
+    shapes = covered_shapes(secondary, segments, kept)
+    return covered_products(secondary, segments, shapes, shapes, factor)
 
 
 def covered_stiffness(
@@ -430,7 +431,30 @@ def covered_stiffness(
     Returns:
         Matrix [1/m, times the unit of the factor], zero for dropped nodes; shape (n_s, n_s).
     """
-    return _gram(secondary, segments, covered_gradients(secondary, segments, kept), factor)
+    slopes = covered_gradients(secondary, segments, kept)
+    return covered_products(secondary, segments, slopes, slopes, factor)
+
+
+def covered_products(
+    secondary: Surface, segments: Segments, tests: Float, trials: Float, factor: Float | None = None
+) -> csr_array:
+    """Integrate products of functions of the two nodes of each covered edge.
+
+    Args:
+        secondary: Surface that carries the values.
+        segments: Its covered part.
+        tests: Functions of the rows at the Gauss points; shape (g, 2).
+        trials: Functions of the columns; shape (g, 2).
+        factor: Coefficient at the Gauss points; shape (g,). None for 1.
+
+    Returns:
+        Matrix [m, times the units of functions and factor]; shape (n_s, n_s).
+    """
+    nodes = secondary.edges[segments.secondary_edge]
+    weight = segments.weight if factor is None else segments.weight * factor
+    products = weight[:, None, None] * tests[:, :, None] * trials[:, None, :]
+    n = len(secondary.nodes)
+    return assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
 
 
 def _shapes(xi: Float) -> Float:
@@ -452,14 +476,6 @@ def _dual_shapes(segments: Segments, num_edges: int) -> Float:
 def _cut(shapes: Float, kept: Bool) -> Float:
     """Replace the functions of edges with a dropped node: 1 for the kept node, 0 for dropped."""
     return np.where(kept.all(axis=1)[:, None], shapes, kept)
-
-
-def _gram(secondary: Surface, segments: Segments, values: Float, factor: Float | None) -> csr_array:
-    nodes = secondary.edges[segments.secondary_edge]
-    weight = segments.weight if factor is None else segments.weight * factor
-    products = weight[:, None, None] * values[:, :, None] * values[:, None, :]
-    n = len(secondary.nodes)
-    return assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
 
 
 def assemble(

@@ -50,33 +50,29 @@ class GapFlow:
         ):
             raise ValueError(f"aperture is {self.aperture}; it must be zero or positive, or None")
 
-    def transverse_conductivity(self, aperture: float) -> float:
-        """c_T = k_T / (gamma_f g) [m/(Pa s)] of Eq. 21."""
-        return self.transverse_permeability / (self.unit_weight * aperture)
-
-    def longitudinal_conductance(self, aperture: float) -> float:
-        """c_L g = g^3 / (12 mu_f) [m^3/(Pa s)] of Eqs. 19 and 81."""
-        return aperture**3 / (12.0 * self.viscosity)
-
-    def conductance(self, aperture: Float) -> Float:
-        """c_L g = g^3 / (12 mu_f) of open and capped gaps [m^3/(Pa s)]; shape as given.
+    def longitudinal_conductance(self, aperture: Float | float) -> Float:
+        """c_L g = g^3 / (12 mu_f) of Eqs. 19 and 81 [m^3/(Pa s)], capped; shape as given.
 
         Args:
             aperture: Aperture [m], zero or less where closed.
         """
         return np.clip(aperture, 0.0, self.aperture_cap) ** 3 / (12.0 * self.viscosity)
 
-    def conductance_slope(self, aperture: Float) -> Float:
-        """Derivative of `conductance` [m^2/(Pa s)]; shape as given."""
+    def longitudinal_conductance_slope(self, aperture: Float) -> Float:
+        """Derivative of `longitudinal_conductance` [m^2/(Pa s)]; shape as given."""
         led = (aperture > 0.0) & (aperture < self.aperture_cap)
         return np.where(led, aperture**2 / (4.0 * self.viscosity), 0.0)
 
-    def leakage(self, aperture: Float) -> Float:
-        """c_T = k_T / (gamma_f g), zero where closed: there is no drop [m/(Pa s)]."""
-        c = self.transverse_permeability / self.unit_weight
-        return np.divide(c, aperture, out=np.zeros_like(aperture), where=aperture > 0.0)
+    def transverse_conductivity(self, aperture: Float | float) -> Float:
+        """c_T = k_T / (gamma_f g) of Eq. 21 [m/(Pa s)]; shape as given.
 
-    def leakage_slope(self, aperture: Float) -> Float:
-        """Derivative of `leakage` [1/(Pa s)]; shape as given."""
+        Args:
+            aperture: Aperture [m]; where it is zero or less nothing leaks, for there is no drop.
+        """
+        c, g = self.transverse_permeability / self.unit_weight, np.asarray(aperture, float)
+        return np.divide(c, g, out=np.zeros_like(g), where=g > 0.0)
+
+    def transverse_conductivity_slope(self, aperture: Float) -> Float:
+        """Derivative of `transverse_conductivity` [1/(Pa s)]; shape as given."""
         c = -self.transverse_permeability / self.unit_weight
         return np.divide(c, aperture**2, out=np.zeros_like(aperture), where=aperture > 0.0)

@@ -12,8 +12,8 @@ from scipy.sparse import csr_array, diags_array
 from ..contact import (
     GeometryDerivatives,
     Kinematics,
-    assemble,
     covered_gradients,
+    covered_products,
     covered_shapes,
 )
 from .law import GapFlow
@@ -70,33 +70,36 @@ class MovingFilm:
         self._swept = _swept(surface.edges, kinematics.operator.kept, ~np.isnan(before))
         self._change = self._swept @ (self.aperture - np.nan_to_num(before))
 
-        along, across = self._along(flow.conductance(self._width)), self._across
-        self._taken_up = self._storage @ self._change + time_step * (along @ water.mean)
+        self._taken_up = self._storage @ self._change + self._along @ water.mean
         self.volumes = water.mean_weights.T @ self._taken_up
-        self.leak = time_step * (across @ water.drop)
+        self.leak = self.of_drops @ water.drop
 
-    @property
+    @cached_property
     def of_drops(self) -> csr_array:
-        """Flow across the gap per unit of the pressure drops; shape (n_s, n_s)."""
-        return self._dt * self._across
+        """Flow across the gap per unit of the pressure drops [m^2/Pa]; shape (n_s, n_s)."""
+        leaking = diags_array(self._leaking.astype(float))
+        leakage = self._dt * self._flow.transverse_conductivity(self._width)
+        return leaking @ self._integral(self._pressures, self._pressures, leakage) @ leaking
 
     @property
     def of_pressures(self) -> csr_array:
-        """Derivative of the volumes with respect to the pore pressures; (n_s + n_m,) twice."""
+        """Derivative of the volumes with respect to the pore pressures [m^2/Pa].
+
+        Its shape is (n_s + n_m, n_s + n_m).
+        """
         weights = self._water.mean_weights
-        along = self._dt * self._along(self._flow.conductance(self._width))
-        return csr_array(weights.T @ along @ weights)
+        return csr_array(weights.T @ self._along @ weights)
 
     def of_apertures(self) -> tuple[csr_array, csr_array]:
         """Derivatives of volumes and leak with respect to the apertures.
 
         Returns:
-            Matrices of shapes (n_s + n_m, n_s) and (n_s, n_s).
+            Matrices [m] of shapes (n_s + n_m, n_s) and (n_s, n_s).
         """
         slope = np.einsum("gi,gi->g", self._slopes, self._water.mean[self._nodes])
         drop = np.einsum("gi,gi->g", self._pressures, self._water.drop[self._nodes])
-        cubic = self._flow.conductance_slope(self._width) * slope
-        leak = self._flow.leakage_slope(self._width) * drop
+        cubic = self._flow.longitudinal_conductance_slope(self._width) * slope
+        leak = self._flow.transverse_conductivity_slope(self._width) * drop
         along = self._integral(self._slopes, self._gaps, cubic) @ diags_array(self._open)
         of_taken_up = self._storage @ self._swept + self._dt * along
         weights = self._water.mean_weights
@@ -116,13 +119,12 @@ class MovingFilm:
             pressure: Derivatives of the coupling of the pore pressures.
 
         Returns:
-            Matrix of shape (n_s + n_m, 2 n_s + 2 n_m).
+            Matrix [m]; shape (n_s + n_m, 2 n_s + 2 n_m).
         """
         water, D = self._water, self._kinematics.pressures.D
         secondary, primary = (values[:, None] for values in water.values)
         of_mean = diags_array(-0.5 * water.related) @ pressure.relative(secondary, primary)
-        along = self._dt * self._along(self._flow.conductance(self._width))
-        of_taken_up = displacement.mass(self._change, pressure) + along @ of_mean
+        of_taken_up = displacement.mass(self._change, pressure) + self._along @ of_mean
         share = np.where(water.related, 0.5 * self._taken_up, 0.0)
         per_length = np.divide(share, D, out=np.zeros_like(D), where=D > 0.0)
         passed_on = pressure.forces(per_length[:, None])
@@ -133,20 +135,14 @@ class MovingFilm:
         return self._integral(self._pressures, self._gaps, np.ones_like(self._width))
 
     @cached_property
-    def _across(self) -> csr_array:
-        leaking = diags_array(self._leaking.astype(float))
-        leakage = self._flow.leakage(self._width)
-        return leaking @ self._integral(self._pressures, self._pressures, leakage) @ leaking
-
-    def _along(self, conductance: Float) -> csr_array:
+    def _along(self) -> csr_array:
+        conductance = self._dt * self._flow.longitudinal_conductance(self._width)
         return self._integral(self._slopes, self._slopes, conductance)
 
     def _integral(self, tests: Float, trials: Float, factor: Float) -> csr_array:
         """Integrate products of functions of the two nodes of each facet; shape (n_s, n_s)."""
-        n = len(self.aperture)
-        weight = self._kinematics.segments.weight * factor
-        products = weight[:, None, None] * tests[:, :, None] * trials[:, None, :]
-        return assemble(products, self._nodes[:, :, None], self._nodes[:, None, :], (n, n))
+        kinematics = self._kinematics
+        return covered_products(kinematics.secondary, kinematics.segments, tests, trials, factor)
 
 
 def _swept(edges: npt.NDArray[np.int32], now: Bool, before: Bool) -> csr_array:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, hstack
 
-from ..contact import GeometryDerivatives, Kinematics, assemble, covered_shapes
+from ..contact import GeometryDerivatives, Kinematics, covered_products, covered_shapes
 
 Float = npt.NDArray[np.float64]
 
@@ -95,10 +95,7 @@ class GapPressure:
             covered_shapes(surface, segments, operator.kept)
             for operator in (kinematics.operator, kinematics.pressures)
         )
-        nodes = surface.edges[segments.secondary_edge]
-        products = segments.weight[:, None, None] * tests[:, :, None] * trials[:, None, :]
-        n = len(surface.nodes)
-        return assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
+        return covered_products(surface, segments, tests, trials)
 
     @cached_property
     def _force_of_mean(self) -> csr_array:

@@ -261,6 +261,8 @@ def _take(system: System, before: float, part: float) -> float:
     while True:
         try:
             system.residual(damped=np.isfinite(before) or part < 1.0)
+            if np.isinf(before):
+                return part
             tried[part] = system.violation()
             if tried[part] <= (1.0 - DECREASE * part) * before:
                 return part

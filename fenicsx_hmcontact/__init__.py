@@ -24,7 +24,7 @@ from .contact import (  # noqa: E402
     Tied,
 )
 from .domain import Domain, vertex_ghost_partitioner  # noqa: E402
-from .gap_flow import GapFlow  # noqa: E402
+from .gap_flow import GapFlow, ResidualAperture  # noqa: E402
 from .materials import LinearElastic  # noqa: E402
 from .poromechanics import (  # noqa: E402
     darcy_flux,
@@ -51,6 +51,7 @@ __all__ = [
     "MortarOptions",
     "NewtonOptions",
     "NodeState",
+    "ResidualAperture",
     "SingularSystemError",
     "Tied",
     "__version__",

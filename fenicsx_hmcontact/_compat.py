@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import dolfinx
@@ -88,6 +89,54 @@ def cell_nodes(mesh: Mesh) -> npt.NDArray[np.int32]:
     return mesh.geometry.dofmaps[0]
 
 
+def cells_of_part(
+    mesh: Mesh, part: Mesh, entity_maps: Sequence[Any] | None
+) -> npt.NDArray[np.int32]:
+    """Cell of a submesh, or of the mesh itself, that each local cell of a mesh is.
+
+    Args:
+        mesh: The mesh.
+        part: The mesh itself or a submesh of cells of it.
+        entity_maps: Maps to submeshes, as `dolfinx.mesh.create_submesh` returns them.
+
+    Returns:
+        Local cells, -1 where the submesh has none; shape (n_cells,), ghosts included.
+
+    Raises:
+        ValueError: If none of the maps leads from the submesh to the mesh.
+    """
+    index_map = mesh.topology.index_map(mesh.topology.dim)
+    cells = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    whole, sub = mesh.topology._cpp_object, part.topology._cpp_object
+    if sub is whole:
+        return cells
+    for m in entity_maps or ():
+        if m.sub_topology._cpp_object is sub and m.topology._cpp_object is whole:
+            if m.dim == mesh.topology.dim:
+                return m.sub_topology_to_topology(cells, inverse=True)
+    raise ValueError("a field lives on another mesh, and no entity map says what part it is")
+
+
+def input_cell_index(mesh: Mesh) -> npt.NDArray[np.int64]:
+    """Numbers of the local triangles that are the same on any number of ranks.
+
+    They are those of the input of the mesh. A submesh has none; there an edge names the triangle on
+    its left: that from the first node in the input to the next one counterclockwise.
+    """
+    try:
+        return mesh.topology.original_cell_index
+    except RuntimeError:
+        nodes = cell_nodes(mesh)
+        a, b, c = np.moveaxis(mesh.geometry.x[nodes, :2], 1, 0)
+        (p, q), (r, s) = (b - a).T, (c - a).T
+        index = mesh.geometry.input_global_indices
+        index = index[np.where((p * s - q * r < 0)[:, None], nodes[:, ::-1], nodes)]
+        first = index.argmin(axis=1)
+        row, n = np.arange(len(nodes)), int(index.max(initial=0)) + 1
+        n = mesh.comm.allreduce(n, MPI.MAX)
+        return index[row, first] * n + index[row, (first + 1) % 3]
+
+
 _INTEGRALS = {
     "cell": fem.IntegralType.cell,
     "exterior_facet": fem.IntegralType.exterior_facet,
@@ -102,6 +151,7 @@ def bind_form(
     mesh: Mesh,
     successor: Callable[[Any], Any] = lambda old: old,
     entity_maps: Sequence[Any] | None = None,
+    names: Sequence[str] = (),
 ) -> fem.Form:
     """Give a compiled form its mesh, functions, constants and tags.
 
@@ -111,9 +161,11 @@ def bind_form(
         successor: What takes the place of a function, constant, space or tags of the form it was
             compiled from.
         entity_maps: Maps to other meshes that functions of the form live on.
+        names: What to call the fields of its arguments.
 
     Raises:
-        ValueError: If terms of one kind use several tags, or tags of another mesh.
+        ValueError: If terms of one kind use several tags, or tags of another mesh, or are
+            integrated where a test or trial function does not live.
     """
     form, ufcx = compiled.ufl_form, compiled.ufcx_form
     (data,) = form.subdomain_data().values()
@@ -131,15 +183,39 @@ def bind_form(
         if hasattr(new, "topology"):
             check_tags(new, mesh)
         subdomains[kind] = get_integration_domains(kind, new, ids)
-    return fem.create_form(
+    spaces = [successor(argument.ufl_function_space()) for argument in form.arguments()]
+    reach = {
+        name: cells_of_part(mesh, space.mesh, entity_maps)
+        for name, space in zip(names, spaces, strict=False)
+        if space.mesh.topology.dim == mesh.topology.dim
+    }
+    bound = fem.create_form(
         compiled,
-        [successor(argument.ufl_function_space()) for argument in form.arguments()],
+        spaces,
         mesh,
         subdomains,
         {f: successor(f) for f in form.coefficients()},
         {c: successor(c) for c in form.constants()},
         entity_maps,
     )
+    for name, cells in reach.items():
+        _check_reach(bound, mesh, name, cells)
+    return bound
+
+
+def _check_reach(form: fem.Form, mesh: Mesh, name: str, cells: npt.NDArray[np.int32]) -> None:
+    """Refuse terms on cells or their facets that a field does not live on: DOLFINx would crash."""
+    outside = 0
+    for kind, width in ((fem.IntegralType.cell, 1), (fem.IntegralType.exterior_facet, 2)):
+        for i in range(form._cpp_object.num_integrals(kind, 0)):
+            integrated = form._cpp_object.domains(kind, i).reshape(-1, width)[:, 0]
+            outside += int(np.sum(cells[integrated] < 0))
+    outside = mesh.comm.allreduce(outside)
+    if outside:
+        raise ValueError(
+            f"terms on dx or ds with the field {name} are integrated over {outside} cells or "
+            "facets that it does not live on: restrict them to its bodies, dx(tags)"
+        )
 
 
 def check_tags(tags: Any, mesh: Mesh) -> None:

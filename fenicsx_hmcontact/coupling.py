@@ -88,9 +88,16 @@ class Coupling:
     ) -> None:
         self.pair = pair
         flow = pair.flow
-        self.aperture = 0.0 if flow is None or flow.aperture is None else flow.aperture
+        aperture = None if flow is None else flow.aperture
+        if callable(aperture):
+            raise ValueError(
+                f"pair {pair.name}: tied surfaces have no gap that an aperture could follow; give "
+                "a constant aperture"
+            )
+        self.aperture = aperture or 0.0
         self._layout = layout
-        mesh = unknowns[0].function_space.mesh
+        displacements = [u for u, n in zip(unknowns, layout.block_sizes, strict=True) if n == 2]
+        mesh = (displacements or unknowns)[0].function_space.mesh
         self._secondary = gather_surface(mesh, pair.facet_tags, pair.secondary, str(pair.secondary))
         self._primary = gather_surface(mesh, pair.facet_tags, pair.primary, str(pair.primary))
         self._segments: Segments = mortar_segments(self._secondary, self._primary, pair.mortar)
@@ -214,10 +221,16 @@ class Coupling:
                 f"pair {self.pair.name}: contact needs P1 fields, {u.name} is of degree "
                 f"{space.element.basix_element.degree}"
             )
-        on_secondary = layout.global_of_blocks(field, surface_dofs(self._secondary, space))
-        on_primary = layout.global_of_blocks(field, surface_dofs(self._primary, space))
-        parts = []
         is_pressure = layout.block_sizes[field] == 1
+        blocks = [surface_dofs(surface, space) for surface in (self._secondary, self._primary)]
+        for surface, dofs in zip((self._secondary, self._primary), blocks, strict=True):
+            if dofs.min() < 0:
+                remedy = ": leave flow out, or let its body be porous" if is_pressure else ""
+                raise ValueError(
+                    f"pair {self.pair.name}: surface {surface.name} carries no {u.name}{remedy}"
+                )
+        on_secondary, on_primary = (layout.global_of_blocks(field, dofs) for dofs in blocks)
+        parts = []
         for component, (secondary, primary) in enumerate(
             zip(on_secondary.T, on_primary.T, strict=True)
         ):

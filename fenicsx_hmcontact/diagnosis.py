@@ -92,7 +92,7 @@ def free_motions(problem: ContactProblem, domain: Domain | None = None) -> list[
     found = []
     for field, u in enumerate(problem.unknowns):
         space = u.function_space
-        bodies = _bodies(space.mesh, domain, problem.model.entity_maps or ())
+        bodies = _bodies(space.mesh, domain, problem.entity_maps)
         if space.value_shape == ():
             null = _null_space(problem, field, _constants(space, bodies), RESISTANCE)
             name = problem.field_names[field]

@@ -97,7 +97,7 @@ def compile_model(
     Raises:
         ValueError: If the residual does not fit the unknowns, or a term cannot be smoothed.
     """
-    forms = [unite_subdomains(form) for form in _blocks(residual, unknowns)]
+    forms = [unite_subdomains(form) for form in _blocks(residual, unknowns, entity_maps)]
     for form in forms:
         check_smoothable(form)
     trials = [ufl.TrialFunction(u.function_space) for u in unknowns]
@@ -133,13 +133,21 @@ def compile_model(
     )
 
 
-def integration_mesh(unknowns: Sequence[fem.Function]) -> Mesh:
-    """Mesh that a model is integrated over: that of the unknown of highest dimension."""
-    return max((u.function_space.mesh for u in unknowns), key=lambda mesh: mesh.topology.dim)
+def integration_mesh(
+    unknowns: Sequence[fem.Function], entity_maps: Sequence[Any] | None = None
+) -> Mesh:
+    """Mesh that a model is integrated over: that of which those of other unknowns are parts."""
+    parts = [entity_map.sub_topology._cpp_object for entity_map in entity_maps or ()]
+    return max(
+        (u.function_space.mesh for u in unknowns),
+        key=lambda mesh: (mesh.topology.dim, mesh.topology._cpp_object not in parts),
+    )
 
 
 def _blocks(
-    residual: ufl.Form | Sequence[ufl.Form], unknowns: Sequence[fem.Function]
+    residual: ufl.Form | Sequence[ufl.Form],
+    unknowns: Sequence[fem.Function],
+    entity_maps: Sequence[Any] | None,
 ) -> list[ufl.Form]:
     """One residual form a field, each with one test function of the field's space."""
     n_fields = len(unknowns)
@@ -152,7 +160,7 @@ def _blocks(
             f"{n_fields} unknowns need a residual with {n_fields} test functions: take them from a "
             "ufl.MixedFunctionSpace of the unknowns' spaces, or give one form an unknown"
         )
-    mesh = integration_mesh(unknowns)._cpp_object
+    mesh = integration_mesh(unknowns, entity_maps)._cpp_object
     for block, u in zip(blocks, unknowns, strict=True):
         if not isinstance(block, ufl.Form):
             raise ValueError(f"the residual has no equation for {u.name}")
@@ -171,6 +179,7 @@ def _blocks(
             if integral.ufl_domain().ufl_cargo() is not mesh:
                 raise ValueError(
                     f"a term in the equation of {u.name} is integrated over another mesh than the "
-                    "unknowns live on"
+                    "unknowns live on; with a field on a submesh, measures need the domain of the "
+                    "whole and entity_maps the way there"
                 )
     return list(blocks)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 from dolfinx import fem
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 
 from .contact import (
     ContactPair,
@@ -28,8 +28,10 @@ from .contact import (
     sees_only_backs,
     surface_dofs,
     tangential_law,
+    turned,
 )
-from .gap_flow import GapPressure, MovingFilm
+from .gap_flow import GapPressure
+from .sliding_water import SlidingWater, placed
 from .solvers import FieldLayout
 
 Float = npt.NDArray[np.float64]
@@ -80,7 +82,6 @@ class SlidingCoupling:
         time_step: Callable[[], float],
     ) -> None:
         self.pair = pair
-        self._time_step = time_step
         self._law = tangential_law(pair.friction)
         self._layout = layout
         u = _field(pair, unknowns, layout, 2, "displacement")
@@ -89,15 +90,14 @@ class SlidingCoupling:
             gather_surface(mesh, pair.facet_tags, tag, str(tag))
             for tag in (pair.secondary, pair.primary)
         )
-        fields = [u]
-        if pair.flow is not None:
-            fields.append(_field(pair, unknowns, layout, 1, "pore pressure"))
-        # Secondary and primary unknowns of the displacement, then of the pore pressure
-        self._dofs = [
-            layout.global_of_blocks(f, surface_dofs(s, unknowns[f].function_space)).ravel()
-            for f in fields
-            for s in self._surfaces
-        ]
+        blocks = [surface_dofs(s, unknowns[u].function_space) for s in self._surfaces]
+        for surface, numbers in zip(self._surfaces, blocks, strict=True):
+            if np.any(numbers < 0):
+                raise ValueError(
+                    f"pair {pair.name}: surface {surface.name} has nodes without a displacement"
+                )
+        # Secondary and primary displacements
+        self._dofs = [layout.global_of_blocks(u, numbers).ravel() for numbers in blocks]
         marks = constrained.astype(float)
         dropped = layout.gather(self._dofs[0], marks).reshape(-1, 2).any(axis=1)
         self._dropped = dropped
@@ -111,17 +111,24 @@ class SlidingCoupling:
                 f"pair {pair.name}: the surfaces turn their backs on each other; the bodies must "
                 "lie on the far sides of them"
             )
-        if pair.flow is not None and pair.flow.aperture is not None:
-            raise ValueError(
-                f"pair {pair.name}: a given aperture is for tied pairs; between surfaces that "
-                "slide the aperture is the gap: leave it out"
-            )
         current = np.concatenate([v.x.array for v in unknowns])
         displacements = self._displacements(current)
         self.kinematics = Kinematics(pair, secondary, primary, dropped, displacements)
-        self._prescribed = np.zeros(len(dropped), bool)
+        self._water: SlidingWater | None = None
         if pair.flow is not None:
-            self._prescribed = layout.gather(self._dofs[2], marks) > 0.0
+            p = _field(pair, unknowns, layout, 1, "pore pressure")
+            self._water = SlidingWater(
+                pair,
+                self.kinematics,
+                (secondary, primary),
+                unknowns[p],
+                p,
+                layout,
+                marks,
+                np.concatenate(self._dofs),
+                time_step,
+            )
+        self._numbers = np.concatenate(self._dofs if self._water is None else self._water.unknowns)
         gap, kept = self.kinematics.gap(), self.kinematics.operator.kept
         self._check_overlap(gap)
         self.status = ContactStatus.open(len(dropped))
@@ -130,12 +137,15 @@ class SlidingCoupling:
         self._held: HeldBound | None = None
         self._last_slip = self.kinematics.slip()
         self._committed = self.status
-        self._aperture = self._covered_aperture()
         self.place(current)
 
     def numbers(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Global numbers of the unknowns on the secondary and on the primary surface."""
-        return np.concatenate(self._dofs[::2]), np.concatenate(self._dofs[1::2])
+        secondary, primary = self._dofs
+        if self._water is None:
+            return secondary, primary
+        of_secondary, of_primary = self._water.numbers
+        return np.concatenate((secondary, of_secondary)), np.concatenate((primary, of_primary))
 
     def counts(self) -> dict[str, int]:
         """Number of open, sticking and slipping nodes."""
@@ -206,15 +216,16 @@ class SlidingCoupling:
         Returns:
             Global numbers of pore pressures, and volumes [m^3/m].
         """
-        if self._film is None:
+        if self._water is None or self._water.film is None:
             return np.zeros(0, np.int64), np.zeros(0)
-        return np.concatenate(self._dofs[2:]), self._film.volumes
+        return np.concatenate(self._water.numbers), self._water.film.volumes
 
     def commit(self) -> None:
         """Take the current state as the start of the next step."""
         self._last_slip = self.kinematics.slip()
         self.kinematics.start_step()
-        self._aperture = self._covered_aperture()
+        if self._water is not None:
+            self._water.commit()
         self.release()
         self._committed = self.status
 
@@ -233,9 +244,15 @@ class SlidingCoupling:
         kinematics = self.kinematics
         kinematics.place(self._displacements(current))
         check_idle_edges(self.pair.name, kinematics.secondary, kinematics.operator, self._dropped)
-        self._water = self._water_between(current)
-        self._film: MovingFilm | None = None
-        self._couple()
+        kept, numbers = kinematics.operator.kept, self._numbers
+        X = _scalar_coupling(kinematics.operator, kept)
+        at = _components(np.flatnonzero(kept), 2).ravel().astype(np.intp)
+        rows, columns = (_components(entries, 2).ravel() for entries in X.coords)
+        shape = at.size, numbers.size
+        coefficients = csr_array((X.data.repeat(2), (rows, columns)), shape)
+        self.dependences = [Dependence(numbers, at, coefficients, np.zeros(at.size, bool))]
+        if self._water is not None:
+            self.dependences.append(self._water.place(current))
 
     def update(
         self, residual: Float, diagonal: Float, new_sets: bool = True, damped: bool = False
@@ -251,10 +268,9 @@ class SlidingCoupling:
         force, traction = self._tractions(residual)
         operator, normals = self.kinematics.operator, self.kinematics.secondary.normals
         kept, D = operator.kept, operator.D
-        tangents = _turned(normals)
+        tangents = turned(normals)
         stiffness, opposite = (
-            self._layout.gather(dofs, diagonal).reshape(-1, 2).mean(axis=1)
-            for dofs in self._dofs[:2]
+            self._layout.gather(dofs, diagonal).reshape(-1, 2).mean(axis=1) for dofs in self._dofs
         )
         pressure, shear = _dot(traction, normals), _dot(traction, tangents)
         gap, slip = self.kinematics.gap(), _dot(self.kinematics.slip(), tangents)
@@ -275,7 +291,9 @@ class SlidingCoupling:
         trial_pressure = np.where(before.closed, pressure, pressure - constant * gap)
         self._constrain(force, np.maximum(trial_pressure, 0.0), stiffness)
         if self._water is not None:
-            self._let_water_flow(residual, diagonal)
+            closed = self.status.closed
+            flowing = self._water.flow(self.dependences[1], closed, residual, diagonal)
+            self.dependences[1] = flowing
 
     def state(self, residual: Float) -> InterfaceState:
         """What acts between the surfaces (Eq. 71). Collective.
@@ -288,7 +306,7 @@ class SlidingCoupling:
         normals, kept = kinematics.secondary.normals, operator.kept
         unpaired = np.where(kept, 0.0, np.nan)
         zero = np.zeros(len(kept))
-        water = self._water
+        water = self._pressure_between
         closed, slipping = self.status.closed & kept, self.status.slipping
         slides = slipping if self._law is not None else closed
         state = np.where(closed, np.where(slides, NodeState.SLIPPING, NodeState.STICKING), 0)
@@ -296,32 +314,32 @@ class SlidingCoupling:
             kinematics.points[0] + kinematics.origin,
             normals,
             _dot(traction, normals) + unpaired,
-            _dot(traction, _turned(normals)) + unpaired,
+            _dot(traction, turned(normals)) + unpaired,
             zero if water is None else water.mean,
             zero if water is None else water.drop,
             kinematics.aperture() + unpaired,
-            _dot(self._last_slip, _turned(normals)),
+            _dot(self._last_slip, turned(normals)),
             np.where(kept, state, NodeState.UNPAIRED).astype(np.int8),
             operator.D,
             force + operator.C.T @ force,
             float(operator.D @ kinematics.gap()),
             kinematics.points[1] + kinematics.origin,
             -(operator.H.T @ force),
+            0.0 if self._water is None else self._water.taken_up,
+            0.0 if self._water is None else self._water.swept,
         )
 
     # --- what acts ---------------------------------------------------------------------------
 
     def _displacements(self, current: Float) -> tuple[Float, Float]:
         secondary, primary = (
-            self._layout.gather(dofs, current).reshape(-1, 2) for dofs in self._dofs[:2]
+            self._layout.gather(dofs, current).reshape(-1, 2) for dofs in self._dofs
         )
         return secondary, primary
 
-    def _water_between(self, current: Float) -> GapPressure | None:
-        if self.pair.flow is None:
-            return None
-        secondary, primary = (self._layout.gather(dofs, current) for dofs in self._dofs[2:])
-        return GapPressure(self.kinematics, self._prescribed, secondary, primary)
+    @property
+    def _pressure_between(self) -> GapPressure | None:
+        return None if self._water is None else self._water.pressure
 
     def _tractions(self, residual: Float) -> tuple[Float, Float]:
         """Forces [N/m] and effective tractions [Pa] of kept nodes, zero at others; (n_s, 2)."""
@@ -331,8 +349,9 @@ class SlidingCoupling:
         force = self._layout.gather(self._dofs[0], residual).reshape(-1, 2)
         force[~kept] = 0.0
         solid = force
-        if self._water is not None:
-            solid = force - self._water.force[:, None] * self.kinematics.secondary.normals
+        water = self._pressure_between
+        if water is not None:
+            solid = force - water.force[:, None] * self.kinematics.secondary.normals
         traction = np.zeros_like(force)
         np.divide(solid, D[:, None], out=traction, where=kept[:, None])
         return force, traction
@@ -365,31 +384,11 @@ class SlidingCoupling:
 
     # --- conditions --------------------------------------------------------------------------
 
-    def _couple(self) -> None:
-        """Write down how secondary unknowns depend on others, without conditions."""
-        kinematics = self.kinematics
-        numbers = np.concatenate(self._dofs)
-        couplings = [(kinematics.operator, kinematics.operator.kept, 0, 2)]
-        if self._water is not None:
-            related = self._water.related
-            couplings.append((kinematics.pressures, related, self._first_pressure, 1))
-        self.dependences = []
-        for operator, kept, first, size in couplings:
-            X = _scalar_coupling(operator, kept)
-            secondary = (first + _components(np.flatnonzero(kept), size).ravel()).astype(np.intp)
-            rows, columns = (_components(at, size).ravel() for at in X.coords)
-            coefficients = csr_array(
-                (X.data.repeat(size), (rows, first + columns)), (secondary.size, numbers.size)
-            )
-            self.dependences.append(
-                Dependence(numbers, secondary, coefficients, np.zeros(secondary.size, bool))
-            )
-
     def _constrain(self, force: Float, pressure: Float, stiffness: Float) -> None:
         """Rows of Eq. 69, corrected, in the relative displacements of the kept nodes."""
-        kinematics, status, water = self.kinematics, self.status, self._water
+        kinematics, status, water = self.kinematics, self.status, self._pressure_between
         operator, normals = kinematics.operator, kinematics.secondary.normals
-        tangents = _turned(normals)
+        tangents = turned(normals)
         bound, slope = np.zeros_like(pressure), np.zeros_like(pressure)
         law = self._law if self._held is None else self._held
         if law is not None:
@@ -421,16 +420,16 @@ class SlidingCoupling:
             stiffness=constraint[kept].ravel(),
             values=values[kept].ravel(),
             derivative=self._row_derivative(constraint, friction, rest, force),
-            transmitted=self._transmitted(kinematics.derivatives, operator.D, force, 0),
+            transmitted=self._transmitted(kinematics.derivatives, operator.D, force),
         )
 
     def _row_derivative(
         self, constraint: Float, friction: Float, rest: Float, force: Float
     ) -> csr_array:
         """Derivative of the kept nodes' normal and tangential rows through geometry and water."""
-        kinematics, water = self.kinematics, self._water
+        kinematics, water = self.kinematics, self._pressure_between
         normals, kept = kinematics.secondary.normals, np.repeat(kinematics.operator.kept, 2)
-        shape = int(kept.sum()), sum(map(len, self._dofs))
+        shape = int(kept.sum()), self._numbers.size
         closed, stick = (constraint > 0.0).T
         k_n, k_t = constraint.T[..., None]
         free = np.where(stick, 0.0, friction)
@@ -445,82 +444,27 @@ class SlidingCoupling:
             tangential = _turned_back(tangential) + free[:, None] * force
             rows = _blocks(normal, tangential) @ d.normals
             rows += _blocks(k_n * normals, zero) @ d.relative(*kinematics.points)
-            rows += _blocks(zero, k_t * _turned(normals)) @ d.relative(*kinematics.moved)
+            rows += _blocks(zero, k_t * turned(normals)) @ d.relative(*kinematics.moved)
             rows += _pairs(np.zeros_like(rest), rest) @ d.D
-            result = _placed(rows[kept], shape)
+            result = placed(rows[kept], shape)
         if water is not None:
-            carried = _placed(
-                water.force_weights, (len(normals), shape[1]), column=self._first_pressure
-            )
+            first, rows_of_all = sum(map(len, self._dofs)), (len(normals), shape[1])
+            carried = placed(water.force_weights, rows_of_all, column=first)
             if d is not None and kinematics.pressure_derivatives is not None:
                 of_force = water.force_derivative(d, kinematics.pressure_derivatives)
-                carried = carried + _placed(of_force, carried.shape)
+                carried = carried + placed(of_force, carried.shape)
             result = result - (_pairs((~closed).astype(float), free) @ carried)[kept]
         return result
 
     def _transmitted(
-        self, d: GeometryDerivatives | None, D: Float, force: Float, first: int
+        self, d: GeometryDerivatives | None, D: Float, force: Float
     ) -> csr_array | None:
         """Derivative of what secondary nodes pass on to others at fixed forces; shape (m, m)."""
         if d is None:
             return None
         per_length = np.divide(force.T, D, out=np.zeros_like(force.T), where=D > 0.0).T
-        m = sum(map(len, self._dofs))
-        return _placed(-d.forces(per_length), (m, m), row=first)
-
-    def _let_water_flow(self, residual: Float, diagonal: Float) -> None:
-        """Write the water in the gap down; where the solids touch there is no pressure drop."""
-        kinematics, water, flow = self.kinematics, self._water, self.pair.flow
-        assert water is not None and flow is not None
-        closed = self._watertight()
-        film = self._film = MovingFilm(
-            flow, kinematics, water, closed, self._aperture, self._time_step()
-        )
-        stiffness = np.abs(self._layout.gather(self._dofs[2], diagonal))
-        stiffness = np.where(closed, stiffness, 0.0)
-        related, first, n = water.related, self._first_pressure, len(closed)
-        m = sum(map(len, self._dofs))
-        of_volumes, of_leak = film.of_apertures()
-        of_aperture = kinematics.aperture_derivative()
-        rows = _placed(of_leak @ of_aperture, (n, m))
-        added = _placed(of_volumes @ of_aperture, (m, m), row=first)
-        added = added + _placed(film.of_pressures, (m, m), first, first)
-        d, d_p = kinematics.derivatives, kinematics.pressure_derivatives
-        if d is not None and d_p is not None:
-            added = added + _placed(film.geometry_derivative(d, d_p), (m, m), row=first)
-            of_drop = d_p.relative(*(values[:, None] for values in water.values))
-            conductance = diags_array(stiffness) + film.of_drops
-            rows = rows + _placed(conductance @ of_drop, (n, m))
-        volumes = np.where(related, self._layout.gather(self._dofs[2], residual), 0.0)
-        volumes[related] += film.volumes[:n][related]
-        passed_on = self._transmitted(d_p, kinematics.pressures.D, volumes[:, None], first)
-        self.dependences[1] = replace(
-            self.dependences[1],
-            stiffness=stiffness[related],
-            values=np.where(stiffness > 0.0, water.drop, film.leak)[related],
-            derivative=rows[related],
-            transmitted=added if passed_on is None else added + passed_on,
-            relative=film.of_drops[related][:, related],
-        )
-
-    def _covered_aperture(self) -> Float:
-        """Aperture where there is a film, nan elsewhere; shape (n_s,)."""
-        kinematics = self.kinematics
-        return np.where(kinematics.operator.kept, kinematics.aperture(), np.nan)
-
-    def _watertight(self) -> npt.NDArray[np.bool_]:
-        """Nodes without a gap: closed, or prescribed beside a closed one; shape (n_s,)."""
-        closed = self.status.closed & self.kinematics.operator.kept
-        beside = np.zeros_like(closed)
-        edges = self._surfaces[0].edges
-        for end in range(2):
-            beside[edges[closed[edges[:, end]], 1 - end]] = True
-        return closed | (beside & ~self.kinematics.operator.kept)
-
-    @property
-    def _first_pressure(self) -> int:
-        """Position of the first pore pressure among the unknowns of the pair."""
-        return len(self._dofs[0]) + len(self._dofs[1])
+        m = self._numbers.size
+        return placed(-d.forces(per_length), (m, m))
 
 
 def _field(
@@ -562,20 +506,9 @@ def _scalar_coupling(
     return scipy.sparse.hstack((-operator.C, operator.H), format="csr")[kept].tocoo()
 
 
-def _placed(matrix: csr_array, shape: tuple[int, int], row: int = 0, column: int = 0) -> csr_array:
-    """Matrix of a larger shape with the entries from that row and column on."""
-    entries = scipy.sparse.coo_array(matrix)
-    return csr_array((entries.data, (entries.row + row, entries.col + column)), shape=shape)
-
-
 def _dot(a: Float, b: Float) -> Float:
     total: Float = np.einsum("ia,ia->i", a, b)
     return total
-
-
-def _turned(normals: Float) -> Float:
-    """Tangents (n_y, -n_x) of normals; shape (n, 2)."""
-    return np.column_stack((normals[:, 1], -normals[:, 0]))
 
 
 def _turned_back(vectors: Float) -> Float:

@@ -5,7 +5,7 @@ from .active_set import ContactStatus, complementarity
 from .condensation import Condensation, Dependence
 from .friction import CoulombFriction, FrictionLaw, Frictionless, HeldBound, Tied, tangential_law
 from .interface import InterfaceState, NodeState
-from .kinematics import Kinematics
+from .kinematics import Kinematics, turned
 from .linearisation import GeometryDerivatives, geometry_derivatives
 from .mortar import (
     MortarOperator,
@@ -58,4 +58,5 @@ __all__ = [
     "surface_dofs",
     "surface_values",
     "tangential_law",
+    "turned",
 ]

@@ -129,31 +129,11 @@ class Kinematics:
         """Distance of the surfaces at the nodes [m], where the gap counts dropped ones; (n_s,)."""
         return self.share * self.gap()
 
-    def gap_weights(self) -> csr_array:
-        """Derivative of the gap at fixed normals and coupling [-]; (n_s, 2 n_s + 2 n_m)."""
-        operator, normals = self.operator, self.secondary.normals
-        n = len(normals)
-        coupling = hstack((eye_array(n) + operator.C, -operator.H), format="csr")
-        coupling = (diags_array(operator.kept.astype(float)) @ coupling).tocoo()
-        values = coupling.data[:, None] * normals[coupling.row]
-        rows = coupling.row.repeat(2)
-        columns = (2 * coupling.col[:, None] + np.arange(2)).ravel()
-        return csr_array((values.ravel(), (rows, columns)), (n, 2 * coupling.shape[1]))
-
     def aperture_derivative(self) -> csr_array:
         """Derivative of the aperture with respect to the coordinates [-]; (n_s, 2 n_s + 2 n_m)."""
-        result = self.gap_weights()
-        d, normals = self.derivatives, self.secondary.normals
-        if d is not None:
-            n = len(normals)
-            at = np.arange(0, 2 * n + 1, 2)
-            for vectors, matrix in (
-                (self.between(*self._points), d.normals),
-                (normals, d.relative(*self._points)),
-            ):
-                rows = csr_array((vectors.ravel(), np.arange(2 * n), at), (n, 2 * n))
-                result = result + rows @ matrix
-        result = diags_array(self.share) @ result
+        normals, between = self.secondary.normals, self.between(*self._points)
+        result = diags_array(self.share) @ self._along_axes(normals, between, self.points)
+        d = self.derivatives
         if d is not None:
             ones, none = np.ones((len(normals), 1)), np.zeros((len(self._points[1]), 1))
             factor = self.share**2 * self.gap() * self.operator.kept
@@ -163,6 +143,17 @@ class Kinematics:
     def slip(self) -> Float:
         """Relative displacement since the start of the step [m]; shape (n_s, 2)."""
         return self.between(*self.moved)
+
+    def tangential_slip(self) -> Float:
+        """Slip along the chain of secondary nodes [m]; shape (n_s,)."""
+        slip: Float = np.einsum("ia,ia->i", self.slip(), turned(self.secondary.normals))
+        return slip
+
+    def tangential_slip_derivative(self) -> csr_array:
+        """Derivative of `tangential_slip` by the coordinates [-]; (n_s, 2 n_s + 2 n_m)."""
+        # d tau . s = d n . s turned back
+        slip = -turned(self.slip())
+        return self._along_axes(turned(self.secondary.normals), slip, self.moved)
 
     @cached_property
     def derivatives(self) -> GeometryDerivatives | None:
@@ -175,6 +166,34 @@ class Kinematics:
         if self.pressures is self.operator:
             return self.derivatives
         return self._differentiated(self.pressures)
+
+    def _along_axes(self, axes: Float, of_normals: Float, values: tuple[Float, Float]) -> csr_array:
+        """Derivative of axes . `between` of values that move with the coordinates.
+
+        Args:
+            axes: An axis of each secondary node; shape (n_s, 2).
+            of_normals: Derivative by the nodal normals; shape (n_s, 2).
+            values: Of both surfaces [m]; shapes (n_s, 2), (n_m, 2).
+
+        Returns:
+            Matrix [-]; shape (n_s, 2 n_s + 2 n_m).
+        """
+        operator, n = self.operator, len(axes)
+        coupling = hstack((eye_array(n) + operator.C, -operator.H), format="csr")
+        coupling = (diags_array(operator.kept.astype(float)) @ coupling).tocoo()
+        entries = coupling.data[:, None] * axes[coupling.row]
+        rows = coupling.row.repeat(2)
+        columns = (2 * coupling.col[:, None] + np.arange(2)).ravel()
+        result = csr_array((entries.ravel(), (rows, columns)), (n, 2 * coupling.shape[1]))
+        d = self.derivatives
+        if d is None:
+            return result
+        at = np.arange(0, 2 * n + 1, 2)
+        for vectors, matrix in ((of_normals, d.normals), (axes, d.relative(*values))):
+            result = (
+                result + csr_array((vectors.ravel(), np.arange(2 * n), at), (n, 2 * n)) @ matrix
+            )
+        return csr_array(result)
 
     def _differentiated(self, operator: MortarOperator) -> GeometryDerivatives | None:
         if self._pair.motion == "small" or not self._pair.linearised:
@@ -201,3 +220,8 @@ class Kinematics:
         if not out.any():
             return operator
         return mortar_operator(*arguments, out if dropped is None else out | dropped, late)
+
+
+def turned(normals: Float) -> Float:
+    """Tangents (n_y, -n_x) of normals, along the chain; shape (n, 2)."""
+    return np.column_stack((normals[:, 1], -normals[:, 0]))

@@ -200,20 +200,25 @@ class GeometryDerivatives:
         entries = coefficients, q.nodes[..., None], q.part_rows[:, None, :3]
         return q.combined(len(values), entries)
 
-    def stiffness(self, values: Float) -> csr_array:
-        """Differentiate `covered_stiffness` of the kept nodes, times values that stay.
+    def integral(self, at_ends: Float, of_length: Float) -> csr_array:
+        """Differentiate integrals over the covered parts of functions of the place on the edge.
 
         Args:
-            values: Nodal values; shape (n_s,).
+            at_ends: The functions of a part's two nodes at its two ends; shape (p, 2, 2).
+            of_length: Derivative of the integrals over a part by the length of its edge, at given
+                ends; shape (p, 2).
 
         Returns:
-            Derivative [unit of the values / m^2]; shape (n_s, n_x).
+            Derivative of the sums at the secondary nodes [unit of the functions]; (n_s, n_x).
         """
-        q, sign, nodal = self.integrals, self._sign, self._of(values)
-        factors = np.column_stack([1.0 / q.edge_length**2, -2.0 * q.length / q.edge_length**3])
-        slope = sign * np.sum(sign * nodal, axis=1, keepdims=True)
-        entries = slope[..., None] * factors[:, None], q.nodes[..., None], q.part_rows[:, None, ::3]
-        return q.combined(len(values), entries)
+        q = self.integrals
+        half = (q.length / q.edge_length)[:, None]
+        low, high = at_ends[..., 0], at_ends[..., 1]
+        mean, slope = (high + low) / 2.0, (high - low) / 2.0
+        # The ends move as int 1 and int (xi - c) over the part say.
+        factors = np.stack([mean, slope / half, of_length - half * mean], axis=-1)
+        entries = factors, q.nodes[..., None], q.part_rows[:, None, [0, 1, 3]]
+        return q.combined(len(self.operator.D), entries)
 
     def _of(self, values: Float) -> Float:
         return values[self.integrals.nodes]

@@ -19,6 +19,10 @@ FOLD = 1e-6
 """Two unit edge normals whose sum is shorter than this belong to a surface folded onto itself."""
 
 
+SAME_PLACE = 1e-6
+"""Nodes of a surface and of a submesh are the same within this part of the shortest edge."""
+
+
 def cross(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Component of a x b out of the plane, for vectors along the last axis."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
@@ -200,44 +204,38 @@ def gather_surface(mesh: Mesh, facet_tags: MeshTags, tag: int, name: str) -> Sur
     return Surface(name, nodes.ravel()[where], unique, points.reshape(-1, 2)[where], edges)
 
 
-def local_nodes(surface: Surface, mesh: Mesh) -> npt.NDArray[np.int32]:
-    """Local vertex of every node of the surface, -1 where this rank has none; shape (n,)."""
-    return mesh.topology.index_map(0).global_to_local(surface.nodes)
-
-
 def surface_dofs(surface: Surface, V: FunctionSpace) -> npt.NDArray[np.int64]:
     """Global block dofs of the nodes of a surface in a continuous P1 space. Collective.
 
     Args:
-        surface: Surface of the mesh of the space.
-        V: Lagrange space of degree 1, scalar or blocked; not a component of another space.
+        surface: Surface of a mesh, where it was gathered.
+        V: Lagrange space of degree 1 on that mesh or on a submesh of it, scalar or blocked; not a
+            component of another space.
 
     Returns:
-        Dof of every node, the same on all ranks; shape (n,).
+        Dof of every node, the same on all ranks, -1 where the submesh has no such node; shape (n,).
 
     Raises:
         ValueError: On all ranks, if the space is of another kind or on another mesh.
     """
     mesh, layout = V.mesh, V.dofmap.dof_layout
-    topology, corners = mesh.topology, cell_nodes(mesh)
+    corners = cell_nodes(mesh)
     number = corners.shape[1]
     at_corners = [layout.entity_dofs(0, i) for i in range(number)] == [[i] for i in range(number)]
     if V.component() or layout.num_dofs != number or not at_corners:
         raise ValueError(f"Surface '{surface.name}' needs a whole, continuous P1 space.")
 
-    vertices = local_nodes(surface, mesh)
-    owned = np.flatnonzero((vertices >= 0) & (vertices < topology.index_map(0).size_local))
-    topology.create_connectivity(0, 2)
-    to_cell = topology.connectivity(0, 2)
-    cells = to_cell.array[to_cell.offsets[vertices[owned]]]
-    cell_vertices = topology.connectivity(2, 0).array.reshape(-1, number)[cells]
-    corner = (cell_vertices == vertices[owned, None]).argmax(axis=1)
-    same = mesh.geometry.input_global_indices[corners[cells, corner]] == surface.input_nodes[owned]
+    # A submesh keeps the numbers that its nodes have in the input of the whole mesh.
+    inputs = mesh.geometry.input_global_indices
+    at = np.searchsorted(surface.input_nodes, inputs).clip(max=len(surface.nodes) - 1)
+    here = np.flatnonzero(surface.input_nodes[at] == inputs)
+    at = at[here]
+    dof_of_node = np.empty(len(inputs), dtype=np.int32)
+    dof_of_node[corners] = V.dofmap.list
     dofs = np.full(len(surface.nodes), -1, dtype=np.int64)
-    dofs[owned] = np.where(
-        same, V.dofmap.index_map.local_to_global(V.dofmap.list[cells, corner]), -1
-    )
+    dofs[at] = V.dofmap.index_map.local_to_global(dof_of_node[here])
     mesh.comm.Allreduce(MPI.IN_PLACE, dofs, MPI.MAX)
-    if dofs.min() < 0:
+    apart = np.abs(mesh.geometry.x[here, :2] - surface.points[at]).max(initial=0.0)
+    if mesh.comm.allreduce(float(apart), MPI.MAX) > SAME_PLACE * surface.lengths.min():
         raise ValueError(f"Surface '{surface.name}' is not of the mesh of this function space.")
     return dofs

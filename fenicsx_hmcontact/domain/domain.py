@@ -15,7 +15,15 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.graph import adjacencylist
 from dolfinx.io import distribute_entity_data
-from dolfinx.mesh import Mesh, MeshTags, create_mesh, meshtags_from_entities
+from dolfinx.mesh import (
+    EntityMap,
+    Mesh,
+    MeshTags,
+    create_mesh,
+    create_submesh,
+    meshtags_from_entities,
+    transfer_meshtags_to_submesh,
+)
 
 from fenicsx_hmcontact.domain.gmsh_model import extract, gmsh_session
 from fenicsx_hmcontact.domain.mesh_arrays import MeshArrays, body_of_group, check
@@ -266,6 +274,40 @@ class Domain:
                 "give each its own surface group."
             )
         return names[0]
+
+    def submesh(self, *names: str) -> tuple[Domain, EntityMap]:
+        """Take some bodies out, for fields that live in these alone. Collective.
+
+        The part has coordinates of its own, which do not follow where those of the whole are moved.
+
+        Args:
+            names: Names of bodies, such as the porous ones.
+
+        Returns:
+            Domain of these bodies, with the surfaces on them, and the map of its cells to those of
+            the whole, for `entity_maps` of a problem.
+
+        Raises:
+            ValueError: If there is no such body, or no name is given.
+        """
+        if not names:
+            raise ValueError(f"{self.name}: submesh() needs the name of a body.")
+        groups = [group for name in names for group in self.layers.get(name, (name,))]
+        bodies = {group: self.body(group) for group in groups}
+        layers = {name: self.layers[name] for name in names if name in self.layers}
+        # Ghost cells too: each rank keeps the whole patches of its nodes.
+        cells = self.cell_tags.indices[np.isin(self.cell_tags.values, list(bodies.values()))]
+        mesh, entity_map, vertex_map, _ = create_submesh(self.mesh, 2, cells)
+        for dims in [(1, 0), (2, 1), (1, 2)]:
+            mesh.topology.create_connectivity(*dims)
+        cell_tags, facet_tags = (
+            transfer_meshtags_to_submesh(tags, mesh, vertex_map, entity_map)
+            for tags in (self.cell_tags, self.facet_tags)
+        )
+        present = set().union(*mesh.comm.allgather(set(facet_tags.values.tolist())))
+        surfaces = {name: tag for name, tag in self.surfaces.items() if tag in present}
+        part = Domain(mesh, cell_tags, facet_tags, bodies, surfaces, self.name, layers)
+        return part, entity_map
 
     def _body_of_group(self) -> dict[str, str]:
         return body_of_group(self.bodies, self.layers, self.name)

@@ -2,8 +2,16 @@
 """Water in the gap between two surfaces."""
 
 from .film import film_conductance, mean_pressure
-from .law import GapFlow
+from .law import ApertureLaw, GapFlow, ResidualAperture
 from .moving_film import MovingFilm
 from .pressure import GapPressure
 
-__all__ = ["GapFlow", "GapPressure", "MovingFilm", "film_conductance", "mean_pressure"]
+__all__ = [
+    "ApertureLaw",
+    "GapFlow",
+    "GapPressure",
+    "MovingFilm",
+    "ResidualAperture",
+    "film_conductance",
+    "mean_pressure",
+]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,31 +12,63 @@ import numpy.typing as npt
 
 Float = npt.NDArray[np.float64]
 
+type ApertureLaw = Callable[[Float], tuple[Float, Float]]
+"""From gaps [m], not negative, to hydraulic apertures [m] and their derivatives [-]."""
+
+
+@dataclass(frozen=True)
+class ResidualAperture:
+    """Hydraulic aperture g + residual: rough surfaces that touch still lead water between them.
+
+    Attributes:
+        residual: Hydraulic aperture of closed surfaces [m].
+
+    Raises:
+        ValueError: If the aperture is not positive.
+    """
+
+    residual: float
+
+    def __post_init__(self) -> None:
+        """Refuse values that make no sense."""
+        if not (self.residual > 0.0 and math.isfinite(self.residual)):
+            raise ValueError(f"residual is {self.residual}; it must be positive")
+
+    def __call__(self, gap: Float) -> tuple[Float, Float]:
+        """Hydraulic aperture [m] and its derivative [-]; shapes as the gap [m]."""
+        return gap + self.residual, np.ones_like(gap)
+
 
 @dataclass(frozen=True)
 class GapFlow:
-    """Water between two porous bodies: along the gap by the cubic law, across it by leak-off.
+    """Water between two porous bodies, or a porous and a dry one.
+
+    Along the gap it flows by the cubic law, across it by leak-off; it is stored as the gap opens
+    and carried along by surfaces that slide.
 
     Attributes:
         transverse_permeability: k_T [m/s] of Eq. 21.
         viscosity: Dynamic viscosity mu_f [Pa s] of Eq. 19.
         unit_weight: Unit weight gamma_f [N/m^3] of the water.
-        aperture: Constant hydraulic aperture of a tied pair [m], filled and not stored in; None for
-            the gap itself. Where it is zero, or the surfaces are closed, the pore pressure is
-            continuous. Gravity is not considered in the film: its water flows by pressure alone.
+        aperture: What leads the water: None for the gap itself (where it is closed the pore
+            pressure is continuous); a constant hydraulic aperture [m]; a `ResidualAperture`; or a
+            law of one's own, which maps gaps to apertures and their derivatives. Tied pairs know a
+            constant one alone, filled and without gravity.
         aperture_cap: Aperture [m] beyond which a gap leads no more water along it: the cubic law
             makes the matrix of wide gaps singular (condition ~ g^3). For the error of the pressure
             1e-5 (12 mu_f 1e6 k h / gamma_f)^(1/3), k and h permeability and mesh size beside it.
+        gravity: Direction in which the water in the gap weighs, of length 1; None without gravity.
 
     Raises:
-        ValueError: If a value is not positive (the aperture: negative).
+        ValueError: If a value is not positive (the aperture: negative), or the direction is none.
     """
 
     transverse_permeability: float
     viscosity: float = 1e-3
     unit_weight: float = 1e4
-    aperture: float | None = None
+    aperture: float | ApertureLaw | None = None
     aperture_cap: float = math.inf
+    gravity: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""
@@ -45,16 +78,44 @@ class GapFlow:
                 raise ValueError(f"{name} is {value}; it must be positive")
         if not self.aperture_cap > 0.0:
             raise ValueError(f"aperture_cap is {self.aperture_cap}; it must be positive")
-        if self.aperture is not None and not (
-            self.aperture >= 0.0 and math.isfinite(self.aperture)
-        ):
-            raise ValueError(f"aperture is {self.aperture}; it must be zero or positive, or None")
+        if self.gravity is not None and not abs(math.hypot(*self.gravity) - 1.0) <= UNIT:
+            raise ValueError(f"gravity is {self.gravity}; it must be a direction of length 1")
+        if self.aperture is None or callable(self.aperture):
+            return
+        if not (self.aperture >= 0.0 and math.isfinite(self.aperture)):
+            raise ValueError(
+                f"aperture is {self.aperture}; it must be zero or positive, a law, or None"
+            )
+
+    def hydraulic_aperture(self, gap: Float) -> tuple[Float, Float]:
+        """Aperture that leads the water [m] and its derivative [-]; shapes as the gap.
+
+        Args:
+            gap: Distance of the surfaces [m], zero where closed.
+
+        Raises:
+            ValueError: If a law of one's own returns negative apertures or no numbers.
+        """
+        gap = np.maximum(gap, 0.0)
+        if self.aperture is None:
+            return gap, np.ones_like(gap)
+        if not callable(self.aperture):
+            return np.full_like(gap, self.aperture), np.zeros_like(gap)
+        aperture, slope = self.aperture(gap)
+        if not (np.all(aperture >= 0.0) and np.isfinite(slope).all()):
+            raise ValueError(f"{self.aperture}: apertures must be numbers and not negative")
+        return aperture, slope
+
+    @property
+    def closes(self) -> bool:
+        """Whether surfaces that touch leave no aperture between them."""
+        return bool(self.hydraulic_aperture(np.zeros(1))[0][0] == 0.0)
 
     def longitudinal_conductance(self, aperture: Float | float) -> Float:
         """c_L g = g^3 / (12 mu_f) of Eqs. 19 and 81 [m^3/(Pa s)], capped; shape as given.
 
         Args:
-            aperture: Aperture [m], zero or less where closed.
+            aperture: Hydraulic aperture [m].
         """
         return np.clip(aperture, 0.0, self.aperture_cap) ** 3 / (12.0 * self.viscosity)
 
@@ -67,7 +128,7 @@ class GapFlow:
         """c_T = k_T / (gamma_f g) of Eq. 21 [m/(Pa s)]; shape as given.
 
         Args:
-            aperture: Aperture [m]; where it is zero or less nothing leaks, for there is no drop.
+            aperture: Hydraulic aperture [m]; where it is zero nothing leaks, for there is no drop.
         """
         c, g = self.transverse_permeability / self.unit_weight, np.asarray(aperture, float)
         return np.divide(c, g, out=np.zeros_like(g), where=g > 0.0)
@@ -76,3 +137,7 @@ class GapFlow:
         """Derivative of `transverse_conductivity` [1/(Pa s)]; shape as given."""
         c = -self.transverse_permeability / self.unit_weight
         return np.divide(c, aperture**2, out=np.zeros_like(aperture), where=aperture > 0.0)
+
+
+UNIT = 1e-9
+"""Deviation from 1 of the length of a direction that is round-off."""

@@ -136,7 +136,10 @@ def _nodal_twins(path: Path, mesh: Mesh, functions: list[fem.Function]) -> list[
         space = function.function_space
         element = space.ufl_element()
         if space.mesh is not mesh:
-            raise ValueError(f"{path}: the function {function.name!r} is on another mesh")
+            raise ValueError(
+                f"{path}: the function {function.name!r} is on another mesh; give it a file of its "
+                "own"
+            )
         if element.discontinuous and element.embedded_superdegree > 0:
             raise ValueError(
                 f"{path}: the function {function.name!r} has no nodal values ({element}); "
@@ -297,9 +300,10 @@ def evaluate(
     point, cell = _containing(mesh, owned, x)
 
     # The cell of the lowest input index wins, on whichever rank it is.
+    number = _compat.input_cell_index(mesh)
     nobody = np.iinfo(np.int64).max
     found = np.full(len(x), nobody)
-    np.minimum.at(found, point, mesh.topology.original_cell_index[cell])
+    np.minimum.at(found, point, number[cell])
     first = np.empty_like(found)
     mesh.comm.Allreduce(found, first, op=MPI.MIN)
     if np.any(first == nobody):
@@ -307,7 +311,7 @@ def evaluate(
         raise ValueError(f"the point ({outside[0]:g}, {outside[1]:g}) lies outside the mesh")
 
     values = np.zeros((len(x), int(np.prod(function.function_space.value_shape))))
-    mine = mesh.topology.original_cell_index[cell] == first[point]
+    mine = number[cell] == first[point]
     if mine.any():
         values[point[mine]] = function.eval(x[point[mine]], cell[mine]).reshape(mine.sum(), -1)
     mesh.comm.Allreduce(MPI.IN_PLACE, values, op=MPI.SUM)
@@ -374,7 +378,7 @@ def gather_nodal(
             index[:owned_nodes],
             mesh.geometry.x[:owned_nodes, :2],
             values,
-            mesh.topology.original_cell_index[:owned_cells],
+            _compat.input_cell_index(mesh)[:owned_cells],
             index[nodes[:owned_cells]],
         )
     )

@@ -26,7 +26,7 @@ class SmoothedTerm:
 
     Raises:
         ValueError: If the term is restricted to cells whose border runs through node cells or that
-            do not exist, or one of its functions lives on another mesh.
+            do not exist, or one of its functions or spaces does not live on all of its cells.
     """
 
     def __init__(
@@ -40,10 +40,11 @@ class SmoothedTerm:
         self._compiled = compiled
         (self._address,) = _compat.kernel_addresses(compiled)
         self._node_cells = node_cells
-        for f in point_form.coefficients:
-            if f.function_space.mesh != node_cells.mesh:
-                raise ValueError(f"{f.name} lives on another mesh than the node cells of its term")
         self.cells = _cells_of(point_form, node_cells)
+        for f in point_form.coefficients:
+            _check_reach(f.name, f.function_space, self.cells, node_cells)
+        for space, kind in zip(spaces, ("test", "trial"), strict=False):
+            _check_reach(f"the {kind} function", space, self.cells, node_cells)
         self._dofs = [node_cells.block_dofs(space) for space in spaces]
         self._field_slots = _component_slots(point_form)
         self._positions: npt.NDArray[np.int32] | None = None
@@ -193,14 +194,53 @@ def _cells_of(form: PointForm, node_cells: NodeCells) -> npt.NDArray[np.int32]:
     marks.array[tags.indices[np.isin(tags.values, form.subdomain)]] = 1.0
     # Tags may name owned triangles alone.
     marks.scatter_forward()
-    inside = marks.array
-    starts = node_cells.triangle_offsets[:-1]
-    least = np.minimum.reduceat(inside[node_cells.triangles], starts) if starts.size else inside[:0]
-    most = np.maximum.reduceat(inside[node_cells.triangles], starts) if starts.size else inside[:0]
-    straddling = node_cells.mesh.comm.allreduce(int(np.sum(least != most)))
+    some = _around(node_cells, marks.array > 0.0, np.logical_or)
+    every = _around(node_cells, marks.array > 0.0, np.logical_and)
+    straddling = node_cells.mesh.comm.allreduce(int(np.sum(some & ~every)))
     if straddling:
         raise ValueError(
             f"dc({ids}) cuts through {straddling} node cells: layers that share nodes "
             "need one term with coefficients constant on triangles (DG 0) instead"
         )
-    return everywhere[most > 0.0]
+    return everywhere[some]
+
+
+def _check_reach(
+    name: str, space: fem.FunctionSpace, cells: npt.NDArray[np.int32], node_cells: NodeCells
+) -> None:
+    """Refuse a term whose function lives on a submesh that lacks triangles of the term's cells."""
+    try:
+        missing = node_cells.cells_on(space.mesh) < 0
+    except ValueError:
+        raise ValueError(
+            f"a term on dc: {name} lives on another mesh, and no entity map says what part it is"
+        ) from None
+    comm = node_cells.mesh.comm
+    outside = comm.allreduce(int(_around(node_cells, missing, np.logical_or)[cells].sum()))
+    if not outside:
+        return
+    marks = la.vector(node_cells.mesh.topology.index_map(2), 1, dtype=np.float64)
+    marks.array[:] = ~missing
+    marks.scatter_reverse(la.InsertMode.add)
+    marks.scatter_forward()
+    if comm.allreduce(int(np.sum(missing & (marks.array > 0.0)))):
+        raise ValueError(
+            f"a term on dc: the submesh of {name} lacks ghost cells; create it from owned and "
+            "ghost cells, as Domain.submesh does"
+        )
+    raise ValueError(
+        f"a term on dc: {name} does not live on {outside} of its node cells; restrict the term to "
+        "the bodies of its submesh, dc(tags)"
+    )
+
+
+def _around(
+    node_cells: NodeCells, marks: npt.NDArray[np.bool_], combine: np.ufunc
+) -> npt.NDArray[np.bool_]:
+    """Combine marks of triangles to one for each node cell."""
+    starts = node_cells.triangle_offsets[:-1]
+    # Not even one cell: reduceat refuses.
+    if not starts.size:
+        return marks[:0]
+    result: npt.NDArray[np.bool_] = combine.reduceat(marks[node_cells.triangles], starts)
+    return result

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +34,7 @@ class NodeCells:
         weights: Their smoothing coefficients alpha_I (Eq. 32); sum 1 over each cell.
         vertices: Vertices of each local triangle; shape (n_triangles, 3).
         points: Coordinates of the vertices [m]; shape (n_vertices, 2).
+        entity_maps: Maps to submeshes that functions may live on.
     """
 
     mesh: Mesh
@@ -44,27 +47,47 @@ class NodeCells:
     weights: npt.NDArray[np.float64]
     vertices: npt.NDArray[np.int32]
     points: npt.NDArray[np.float64]
+    entity_maps: Sequence[Any] = ()
 
     def __len__(self) -> int:
         """Return the number of node cells on this rank."""
         return self.areas.size
 
     def block_dofs(self, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
-        """Block dof of each local vertex in a continuous P1 space; shape (n_vertices,)."""
-        dofs = np.empty(self.points.shape[0], np.int32)
-        dofs[self.vertices.ravel()] = space.dofmap.list.ravel()
+        """Block dof of each local vertex in a continuous P1 space; shape (n_vertices,).
+
+        It is -1 at vertices that are not on the submesh of the space.
+        """
+        cells = self.cells_on(space.mesh)
+        inside = cells >= 0
+        dofs = np.full(self.points.shape[0], -1, np.int32)
+        dofs[self.vertices[inside]] = space.dofmap.list[cells[inside]]
         return dofs
 
+    def cells_on(self, mesh: Mesh) -> npt.NDArray[np.int32]:
+        """Cell that each local triangle is on a submesh, or this mesh; -1 where it is none.
+
+        Raises:
+            ValueError: If no entity map leads there.
+        """
+        return _compat.cells_of_part(self.mesh, mesh, self.entity_maps)
+
     def nodal_values(self, function: fem.Function) -> npt.NDArray[np.float64]:
-        """Values of a P1 function at the local vertices; shape (n_vertices, components)."""
+        """Values of a P1 function at the local vertices; shape (n_vertices, components).
+
+        They are nan at vertices that are not on the submesh of the function.
+        """
         space = function.function_space
-        return function.x.array.reshape(-1, space.dofmap.bs)[self.block_dofs(space)]
+        return _rows(function.x.array.reshape(-1, space.dofmap.bs), self.block_dofs(space))
 
     def cell_means(self, function: fem.Function) -> npt.NDArray[np.float64]:
-        """Means of a function that is constant on triangles; shape (n_cells, components)."""
-        dofmap = function.function_space.dofmap
-        values = function.x.array.reshape(-1, dofmap.bs)[dofmap.list[self.triangles, 0]]
-        weighted = self.weights[:, None] * values
+        """Means of a function that is constant on triangles; shape (n_cells, components).
+
+        They are nan in cells with triangles that are not on the submesh of the function.
+        """
+        dofmap, cells = function.function_space.dofmap, self.cells_on(function.function_space.mesh)
+        by_cell = function.x.array.reshape(-1, dofmap.bs)[dofmap.list[:, 0]]
+        weighted = self.weights[:, None] * _rows(by_cell, cells[self.triangles])
         return np.add.reduceat(weighted, self.triangle_offsets[:-1], axis=0)
 
     def gradient(
@@ -96,12 +119,21 @@ def points_per_cell(enhancement: Enhancement) -> int:
     return 1 if enhancement == "none" else 4
 
 
-def create_node_cells(mesh: Mesh) -> NodeCells:
+def _rows(values: npt.NDArray[np.float64], numbers: npt.NDArray[np.int32]) -> Any:
+    """Rows of an array by their numbers, nan where the number is -1."""
+    result = np.full((numbers.size, values.shape[1]), np.nan)
+    inside = numbers >= 0
+    result[inside] = values[numbers[inside]]
+    return result
+
+
+def create_node_cells(mesh: Mesh, entity_maps: Sequence[Any] = ()) -> NodeCells:
     """Build the node cells of a mesh. Collective.
 
     Args:
         mesh: Mesh of straight triangles in the plane. On several ranks it must have all triangles
             around every owned vertex: see `vertex_ghost_partitioner`.
+        entity_maps: Maps to submeshes that functions may live on.
 
     Raises:
         ValueError: If the mesh is not of straight triangles in the plane.
@@ -149,6 +181,7 @@ def create_node_cells(mesh: Mesh) -> NodeCells:
         weights,
         vertices,
         points,
+        tuple(entity_maps),
     )
 
 

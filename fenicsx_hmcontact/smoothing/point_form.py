@@ -330,7 +330,8 @@ def _transform(
     arguments = sorted(
         {e for e in values | gradients if isinstance(e, Argument)}, key=lambda f: f.number()
     )
-    position = next((e for e in values if isinstance(e, SpatialCoordinate)), None)
+    # Coordinates of a mesh and of a submesh are the same.
+    positions = [e for e in values if isinstance(e, SpatialCoordinate)]
     constants = sorted((e for e in values if isinstance(e, Constant)), key=lambda c: c.count())
 
     domain = ufl.Mesh(basix.ufl.element("P", "triangle", 1, shape=(2,)))
@@ -341,15 +342,15 @@ def _transform(
         size = slots.allocate(size, f in values, f in gradients, deviatoric)
         coefficient_slots[f] = slots
     position_slots = None
-    if position is not None:
+    if positions:
         position_slots = FieldSlots((2,))
         size = position_slots.allocate(size, True, False, False)
     standins: dict[Expr, tuple[FieldSlots, Expr]] = {}
     if size:
         array = Coefficient(_constant_space(domain, size))
         standins |= {f: (slots, array) for f, slots in coefficient_slots.items()}
-        if position is not None and position_slots is not None:
-            standins[position] = (position_slots, array)
+        if position_slots is not None:
+            standins |= dict.fromkeys(positions, (position_slots, array))
     argument_slots, argument_sizes = [], []
     for v in arguments:
         slots = FieldSlots(v.ufl_shape)

@@ -9,12 +9,7 @@ import pytest
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-from fenicsx_hmcontact.contact.surface import (
-    Surface,
-    gather_surface,
-    local_nodes,
-    surface_dofs,
-)
+from fenicsx_hmcontact.contact.surface import Surface, gather_surface, surface_dofs
 from fenicsx_hmcontact.domain import vertex_ghost_partitioner
 
 TRIANGLE, QUADRILATERAL = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
@@ -108,7 +103,7 @@ def test_body_lies_left_of_the_edges(ghosts):
 @pytest.mark.mpi
 @pytest.mark.parametrize("ghosts", GHOSTS)
 @pytest.mark.parametrize("shape", [(), (2,)])
-def test_dofs_and_local_nodes_lie_at_the_points(ghosts, shape):
+def test_dofs_lie_at_the_points(ghosts, shape):
     mesh = square(MPI.COMM_WORLD, ghosts)
     surface = gather_surface(mesh, tags(mesh, boundary), 3, "all")
     V = fem.functionspace(mesh, ("Lagrange", 1, shape))
@@ -120,12 +115,24 @@ def test_dofs_and_local_nodes_lie_at_the_points(ghosts, shape):
     assert np.allclose(at, surface.points[mine], rtol=0, atol=1e-14)
     assert mesh.comm.allreduce(int(mine.sum())) == len(surface.nodes) == 24
 
-    local = local_nodes(surface, mesh)
-    here = local >= 0
-    nodes = dmesh.entities_to_geometry(mesh, 0, local[here]).ravel()
-    assert np.array_equal(mesh.geometry.x[nodes, :2], surface.points[here])
-    owned = here & (local < mesh.topology.index_map(0).size_local)
-    assert mesh.comm.allreduce(int(owned.sum())) == len(surface.nodes)
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("ghosts", GHOSTS)
+@pytest.mark.parametrize("shape", [(), (2,)])
+def test_dofs_of_a_submesh_lie_at_the_points_it_has(ghosts, shape):
+    mesh = square(MPI.COMM_WORLD, ghosts)
+    surface = gather_surface(mesh, tags(mesh, boundary), 3, "all")
+    left = dmesh.locate_entities(mesh, 2, lambda x: x[0] < 3 / 7 + 1e-9)
+    part, *_ = dmesh.create_submesh(mesh, 2, left)
+    V = fem.functionspace(part, ("Lagrange", 1, shape))
+    dofs = surface_dofs(surface, V)
+    assert np.array_equal(dofs, mesh.comm.bcast(dofs))
+    assert np.array_equal(dofs >= 0, surface.points[:, 0] < 3 / 7 + 1e-9)
+    first, last = V.dofmap.index_map.local_range
+    mine = (dofs >= first) & (dofs < last)
+    at = V.tabulate_dof_coordinates()[dofs[mine] - first, :2]
+    assert np.allclose(at, surface.points[mine], rtol=0, atol=1e-14)
+    assert mesh.comm.allreduce(int(mine.sum())) == int(np.sum(dofs >= 0)) == 12
 
 
 @pytest.mark.mpi
@@ -139,7 +146,7 @@ def test_wrong_space_is_refused_on_all_ranks():
     ]:
         with pytest.raises(ValueError, match="'ground' needs a whole, continuous P1 space"):
             surface_dofs(surface, V)
-    other = dmesh.create_unit_square(MPI.COMM_WORLD, 3, 3)
+    other = dmesh.create_unit_square(MPI.COMM_WORLD, 9, 9)
     with pytest.raises(ValueError, match="'ground' is not of the mesh"):
         surface_dofs(surface, fem.functionspace(other, ("Lagrange", 1)))
 

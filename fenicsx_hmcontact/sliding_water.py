@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Pore water of a pair whose surfaces move: pressures of both faces and the film between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse
+from dolfinx import fem
+from scipy.sparse import csr_array, diags_array
+
+from .contact import ContactPair, Dependence, Kinematics, Surface, surface_dofs
+from .gap_flow import GapFlow, GapPressure, MovingFilm
+from .solvers import FieldLayout
+
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+
+class SlidingWater:
+    """Pore water of a sliding pair. Its data are the same on all ranks.
+
+    Args:
+        pair: The pair, with a flow law.
+        kinematics: Its surfaces.
+        surfaces: The surfaces as gathered from the mesh.
+        pressure: Pore pressure.
+        field: Its number in the layout.
+        layout: Numbering of the unknowns.
+        constrained: Marks of the prescribed unknowns, as local array.
+        displacements: Global numbers of the displacements of both surfaces.
+        time_step: Returns the length of the step [s].
+
+    Attributes:
+        numbers: Global numbers of the pore pressures of the secondary face and of the primary
+            face; empty on a dry body.
+        pressure: Pore pressures where the surfaces are.
+        film: The film between them; None before water flows.
+        taken_up: Water that the gap took from the bodies in the last step [m^3/m].
+        swept: Water that came into or left it at its ends, with surfaces that move [m^3/m].
+
+    Raises:
+        ValueError: If both bodies are dry, or one of the surfaces in part.
+    """
+
+    def __init__(
+        self,
+        pair: ContactPair,
+        kinematics: Kinematics,
+        surfaces: tuple[Surface, Surface],
+        pressure: fem.Function,
+        field: int,
+        layout: FieldLayout,
+        constrained: Float,
+        displacements: npt.NDArray[np.int64],
+        time_step: Callable[[], float],
+    ) -> None:
+        assert pair.flow is not None
+        self._flow: GapFlow = pair.flow
+        self._kinematics, self._layout = kinematics, layout
+        self._displacements, self._time_step = displacements, time_step
+        self._edges = surfaces[0].edges
+        dofs = [surface_dofs(surface, pressure.function_space) for surface in surfaces]
+        wet = [bool((numbers >= 0).any()) for numbers in dofs]
+        partly = any(w and bool((numbers < 0).any()) for w, numbers in zip(wet, dofs, strict=True))
+        if partly or not any(wet):
+            raise ValueError(
+                f"pair {pair.name}: water in the gap needs a porous body on one side at least, and "
+                f"each surface on porous or on dry bodies alone; {pressure.name} does not reach "
+                + ("all of a surface" if partly else "either surface")
+            )
+        none = np.zeros(0, np.int64)
+        self.numbers = tuple(
+            layout.global_of_blocks(field, numbers).ravel() if w else none
+            for w, numbers in zip(wet, dofs, strict=True)
+        )
+        self._prescribed = np.zeros(len(surfaces[0].nodes), bool)
+        if wet[0]:
+            self._prescribed = layout.gather(self.numbers[0], constrained) > 0.0
+        self._before, self._volume = self._covered_gap(), self._gap_volume()
+        self.film: MovingFilm | None = None
+        self.taken_up = self.swept = 0.0
+
+    pressure: GapPressure
+
+    @property
+    def unknowns(self) -> tuple[npt.NDArray[np.int64], ...]:
+        """Global numbers of the displacements and the pore pressures of both surfaces."""
+        return (self._displacements, *self.numbers)
+
+    def place(self, current: Float) -> Dependence:
+        """Follow the surfaces; say how the pore pressures depend on each other. Collective.
+
+        Args:
+            current: Local array of the unknowns.
+        """
+        self.film = None
+        faces = [
+            self._layout.gather(numbers, current) if numbers.size else None
+            for numbers in self.numbers
+        ]
+        water = self.pressure = GapPressure(self._kinematics, self._prescribed, *faces)
+        operator, related = self._kinematics.pressures, water.related
+        numbers = np.concatenate(self.unknowns)
+        first = self._displacements.size
+        secondary = (first + np.flatnonzero(related)).astype(np.intp)
+        shape = secondary.size, numbers.size
+        coefficients = csr_array(shape)
+        if related.any():
+            X = scipy.sparse.hstack((-operator.C, operator.H), format="csr")
+            coefficients = placed(X[related], shape, column=first)
+        return Dependence(numbers, secondary, coefficients, np.zeros(secondary.size, bool))
+
+    def flow(
+        self, coupled: Dependence, closed: Bool, residual: Float, diagonal: Float
+    ) -> Dependence:
+        """Write the water in the gap down; where nothing is between the faces there is no drop.
+
+        Args:
+            coupled: How the pore pressures depend on each other.
+            closed: Nodes where the solids touch; shape (n_s,).
+            residual: Local array of the residual with what surfaces pass on to each other.
+            diagonal: Local array of the diagonal of the tangent.
+        """
+        kinematics, water, first = self._kinematics, self.pressure, self._displacements.size
+        closed = self._beside_closed(closed)
+        film = MovingFilm(self._flow, kinematics, water, closed, self._before, self._time_step())
+        self.film = film
+        d, d_p = kinematics.derivatives, kinematics.pressure_derivatives
+        of_volumes, of_leak = film.of_coordinates(d, d_p)
+        m = first + of_volumes.shape[0]
+        added = placed(of_volumes, (m, m), row=first)
+        added = added + placed(film.of_pressures, (m, m), first, first)
+        related, n = water.related, len(closed)
+        if not related.any():
+            return replace(coupled, transmitted=added)
+        stiffness = np.abs(self._layout.gather(self.numbers[0], diagonal))
+        stiffness = np.where(film.watertight, stiffness, 0.0)
+        rows = placed(of_leak, (n, m))
+        volumes = np.where(related, self._layout.gather(self.numbers[0], residual), 0.0)
+        volumes[related] += film.volumes[:n][related]
+        if d_p is not None:
+            rows = rows + placed(diags_array(stiffness) @ water.drop_derivative(d_p), (n, m))
+            D = kinematics.pressures.D
+            per_length = np.divide(volumes, D, out=np.zeros(n), where=D > 0.0)
+            added = added + placed(-d_p.forces(per_length[:, None]), (m, m), row=first)
+        return replace(
+            coupled,
+            stiffness=stiffness[related],
+            values=np.where(stiffness > 0.0, water.drop, film.leak)[related],
+            derivative=rows[related],
+            transmitted=added,
+            relative=film.of_drops[related][:, related],
+        )
+
+    def commit(self) -> None:
+        """Take the current state as the start of the next step."""
+        before, self._volume = self._volume, self._gap_volume()
+        assert self.film is not None
+        self.taken_up = float(self.film.volumes.sum())
+        self.swept = self._volume - before - self.taken_up
+        self._before = self._covered_gap()
+
+    def _covered_gap(self) -> Float:
+        """Gap where there is a film, nan elsewhere; shape (n_s,)."""
+        kinematics = self._kinematics
+        return np.where(kinematics.operator.kept, kinematics.aperture(), np.nan)
+
+    def _gap_volume(self) -> float:
+        kinematics = self._kinematics
+        return float(kinematics.operator.D @ kinematics.gap())
+
+    def _beside_closed(self, closed: Bool) -> Bool:
+        """Nodes without a gap: closed, or prescribed beside a closed one; shape (n_s,)."""
+        kept = self._kinematics.operator.kept
+        closed = closed & kept
+        beside = np.zeros_like(closed)
+        for end in range(2):
+            beside[self._edges[closed[self._edges[:, end]], 1 - end]] = True
+        return closed | (beside & ~kept)
+
+
+def placed(matrix: csr_array, shape: tuple[int, int], row: int = 0, column: int = 0) -> csr_array:
+    """Matrix of a larger shape with the entries from that row and column on."""
+    entries = scipy.sparse.coo_array(matrix)
+    return csr_array((entries.data, (entries.row + row, entries.col + column)), shape=shape)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The film between surfaces that move: its tangent, its laws, and water carried along."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+
+import fenicsx_hmcontact as hm
+from fenicsx_hmcontact.contact import ContactStatus
+from tests.models import dense, fix, largest, stack
+
+CUBIC = {}
+DOWN = {"gravity": (0.6, -0.8)}
+ROUGH = {"aperture": hm.ResidualAperture(0.03)}
+CONSTANT = {"aperture": 0.05}
+
+
+def soft_blocks(comm, flow, *, held=False, motion="finite"):
+    """Two soft porous blocks with an inclined gap, and the problem of both."""
+    domain = stack(comm, (3, 4), rows=1, slope=0.2, shift=0.07)
+    mesh = domain.mesh
+    mesh.topology.create_connectivity(1, 2)
+    V, Q = fem.functionspace(mesh, ("P", 1, (2,))), fem.functionspace(mesh, ("P", 1))
+    u, p = fem.Function(V, name="u"), fem.Function(Q, name="p")
+    v, q = ufl.TestFunctions(ufl.MixedFunctionSpace(V, Q))
+    dt = fem.Constant(mesh, 1.0)
+    F = hm.equilibrium(hm.LinearElastic(100.0, 0.2).stress(u), p, v)
+    F += hm.water_balance(u, fem.Function(V), p, q, dt, permeability=0.3, unit_weight=1.0)
+    bcs = [fix(domain, V.sub(i), "bottom_0") for i in (0, 1)]
+    if held:
+        bcs += [fix(domain, V.sub(0), "left_1"), fix(domain, Q, "right_1")]
+    surfaces = domain.surface("bottom_1"), domain.surface("top_0")
+    law = hm.CoulombFriction(0.4, 0.3)
+    pair = hm.ContactPair(domain.facet_tags, *surfaces, law, flow=flow, motion=motion)
+    return hm.ContactProblem(F, [u, p], bcs=bcs, pairs=[pair], time_step=dt)
+
+
+@pytest.mark.parametrize("sets", ["open", "stick", "slip", "mixed"])
+@pytest.mark.parametrize("options", [CUBIC, DOWN, ROUGH, CONSTANT])
+@pytest.mark.parametrize(
+    ("held", "motion"), [((), "finite"), (("u", "p"), "finite"), ((), "small")]
+)
+def test_the_tangent_follows_the_film(comm, sets, options, held, motion):
+    flow = hm.GapFlow(1e-3, viscosity=1e-3, unit_weight=50.0, **options)
+    problem = soft_blocks(comm, flow, held=held, motion=motion)
+    u, p = problem.unknowns
+    rng = np.random.default_rng(1)
+    u.x.array[:] = rng.normal(size=u.x.array.size) * 0.004
+    p.x.array[:] = rng.normal(size=p.x.array.size) * 3.0
+    coupling = problem._sliding[0]
+    n = len(coupling.status.closed)
+    closed, slipping = np.full(n, sets != "open"), np.full(n, sets in ("slip", "mixed"))
+    if sets == "mixed":
+        closed[::3] = slipping[1::3] = False
+    coupling.status = ContactStatus(closed, slipping & closed, rng.choice([-1.0, 1.0], n))
+    problem.residual()
+    problem._update_tangent()
+    scale, A = problem._linear.scale, dense(problem._linear.matrix, comm)
+    start, free = [f.x.array.copy() for f in (u, p)], problem._free
+    for _ in range(6):
+        direction = np.where(free, rng.normal(size=len(free)), 0.0)
+        move = direction * scale
+        problem.condensation.expand(move)
+        difference, h = np.zeros(len(free)), 1e-7
+        for sign in (1.0, -1.0):
+            for f, x, along in zip((u, p), start, problem.layout.views(move), strict=True):
+                f.x.array[:] = x + sign * h * along
+            problem.residual()
+            difference += sign * problem._condensed * scale / (2.0 * h)
+        error = (difference - A @ direction)[free]
+        assert largest(error, comm) < 1e-6 * largest((A @ direction)[free], comm)

@@ -18,6 +18,7 @@ from .contact import Condensation, ContactPair, Dependence, InterfaceState, Tied
 from .coupling import Coupling
 from .diagnosis import free_motions
 from .domain import Domain
+from .free_water import FreeWater
 from .model import CompiledBlock, CompiledModel, compile_model, integration_mesh
 from .sliding import SlidingCoupling
 from .smoothing import SmoothedTerm, create_node_cells
@@ -113,6 +114,7 @@ class ContactProblem:
         self._couple(pairs)
 
         self._raw = np.zeros(self.layout.n_local)
+        self._diagonal = np.ones(self.layout.n_local)
         self._condensed = np.zeros(self.layout.n_local)
         self._system = CondensedMatrix(
             self.layout, self._matrix, self.condensation, self._constrained, petsc_options
@@ -159,8 +161,7 @@ class ContactProblem:
             self._raw[:], self._condensed[:] = before
             for coupling in self._sliding:
                 coupling.reset()
-                coupling.place(self._start)
-            self.condensation.couple(self._dependences)
+            self._place(self._start)
             raise
         for coupling in self._sliding:
             coupling.commit()
@@ -224,14 +225,21 @@ class ContactProblem:
         """Return what the supports do: the residual at prescribed unknowns, zero elsewhere.
 
         For a displacement these are the forces of the supports [N], for a pore pressure the change
-        of water volume in the step: negative where water leaves [m^3]. Both per metre thickness, of
-        the state last solved for.
+        of water volume in the step: negative where water leaves [m^3], through drained faces or
+        into free water around a gap. Both per metre thickness, of the state last solved for.
+        Collective.
 
         Args:
             unknown: One of the unknowns.
         """
         field = self._field(unknown)
         values = np.where(self._constrained, self._condensed, 0.0)
+        wetted = self._free_water.numbers[self._free_water.wetted]
+        if wetted.size:
+            received = self._raw.copy()
+            self.condensation.transmit(received)
+            wet = np.isin(self.layout.global_index, wetted)
+            values[wet] = received[wet]
         result = fem.Function(unknown.function_space, name=f"{unknown.name}_reaction")
         result.x.array[:] = self.layout.views(values)[field]
         return result
@@ -310,6 +318,7 @@ class ContactProblem:
 
     def _couple(self, pairs: Sequence[ContactPair]) -> None:
         """Put the pairs on the mesh and build the condensation and the films."""
+        self._wet: list[Dependence] = []
         arguments = self.unknowns, self.layout
         tied = [
             Coupling(pair, *arguments, self._constrained)
@@ -333,10 +342,16 @@ class ContactProblem:
                     f"pair {pair.name} has water in its gap: the problem needs time_step"
                 )
         numbers = [coupling.numbers() for coupling in self._couplings]
-        none = np.zeros(0, np.int64)
+        tied_numbers = [n for coupling in tied for n in coupling.numbers()]
+        held = np.flatnonzero(self._constrained)
+        self._free_water = FreeWater(
+            [coupling.water for coupling in self._sliding if coupling.water is not None],
+            np.concatenate([self._everywhere(held), *tied_numbers]),
+            self.layout,
+        )
         self.condensation = Condensation(
-            np.concatenate([none, *(n for pair in numbers for n in pair)]),
-            np.concatenate([none, *(secondary for secondary, _ in numbers)]),
+            np.concatenate([self._free_water.numbers, *(n for pair in numbers for n in pair)]),
+            np.concatenate([self._free_water.numbers, *(secondary for secondary, _ in numbers)]),
             self.layout,
         )
         self.condensation.update(self._dependences)
@@ -348,7 +363,12 @@ class ContactProblem:
     @property
     def _dependences(self) -> list[Dependence]:
         """How the unknowns of all pairs depend on each other, at the current state of the pairs."""
-        return [d for coupling in self._couplings for d in coupling.dependences]
+        return [d for coupling in self._couplings for d in coupling.dependences] + self._wet
+
+    def _everywhere(self, local: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Global numbers of the local unknowns of all ranks. Collective."""
+        numbers = self.layout.global_index[local].astype(np.int64)
+        return np.unique(np.concatenate(self.comm.allgather(numbers)))
 
     # --- the equations, as Newton's method sees them ------------------------------------------
 
@@ -381,9 +401,7 @@ class ContactProblem:
         if self._sliding:
             self._assemble_tangent()
             try:
-                for coupling in self._sliding:
-                    coupling.place(current)
-                condensation.couple(self._dependences)
+                self._place(current)
             except ValueError as error:
                 raise FloatingPointError(str(error)) from error
             transmitted = self._raw.copy()
@@ -396,6 +414,15 @@ class ContactProblem:
         if self._film.nnz:
             added = added + self._dt() * (self._film @ condensation.relative(current))
         condensation.condense(self._condensed, added)
+
+    def _place(self, current: npt.NDArray[np.float64]) -> None:
+        """Couple the surfaces of sliding pairs where they are, and wet what they have left."""
+        for coupling in self._sliding:
+            coupling.place(current)
+        self._wet = []
+        if self._free_water.numbers.size:
+            self._wet = [self._free_water.dependence(current, self._diagonal)]
+        self.condensation.couple(self._dependences)
 
     def _iterate(self) -> NewtonResult:
         """Solve by Newton's method; a system that stays singular names what is free."""

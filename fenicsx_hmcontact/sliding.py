@@ -65,6 +65,7 @@ class SlidingCoupling:
         status: Closed and slipping nodes.
         settled: Whether the last update left the sets as they were.
         dependences: How secondary unknowns depend on others, and the conditions of contact.
+        water: Pore water between the surfaces; None without flow.
 
     Raises:
         ValueError: If the pair fits neither the fields nor the conditions; it names the pair.
@@ -114,10 +115,10 @@ class SlidingCoupling:
         current = np.concatenate([v.x.array for v in unknowns])
         displacements = self._displacements(current)
         self.kinematics = Kinematics(pair, secondary, primary, dropped, displacements)
-        self._water: SlidingWater | None = None
+        self.water: SlidingWater | None = None
         if pair.flow is not None:
             p = _field(pair, unknowns, layout, 1, "pore pressure")
-            self._water = SlidingWater(
+            self.water = SlidingWater(
                 pair,
                 self.kinematics,
                 (secondary, primary),
@@ -128,7 +129,7 @@ class SlidingCoupling:
                 np.concatenate(self._dofs),
                 time_step,
             )
-        self._numbers = np.concatenate(self._dofs if self._water is None else self._water.unknowns)
+        self._numbers = np.concatenate(self._dofs if self.water is None else self.water.unknowns)
         gap, kept = self.kinematics.gap(), self.kinematics.operator.kept
         self._check_overlap(gap)
         self.status = ContactStatus.open(len(dropped))
@@ -142,9 +143,9 @@ class SlidingCoupling:
     def numbers(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Global numbers of the unknowns on the secondary and on the primary surface."""
         secondary, primary = self._dofs
-        if self._water is None:
+        if self.water is None:
             return secondary, primary
-        of_secondary, of_primary = self._water.numbers
+        of_secondary, of_primary = self.water.numbers
         return np.concatenate((secondary, of_secondary)), np.concatenate((primary, of_primary))
 
     def counts(self) -> dict[str, int]:
@@ -216,16 +217,16 @@ class SlidingCoupling:
         Returns:
             Global numbers of pore pressures, and volumes [m^3/m].
         """
-        if self._water is None or self._water.film is None:
+        if self.water is None or self.water.film is None:
             return np.zeros(0, np.int64), np.zeros(0)
-        return np.concatenate(self._water.numbers), self._water.film.volumes
+        return np.concatenate(self.water.numbers), self.water.film.volumes
 
     def commit(self) -> None:
         """Take the current state as the start of the next step."""
         self._last_slip = self.kinematics.slip()
         self.kinematics.start_step()
-        if self._water is not None:
-            self._water.commit()
+        if self.water is not None:
+            self.water.commit()
         self.release()
         self._committed = self.status
 
@@ -251,8 +252,8 @@ class SlidingCoupling:
         shape = at.size, numbers.size
         coefficients = csr_array((X.data.repeat(2), (rows, columns)), shape)
         self.dependences = [Dependence(numbers, at, coefficients, np.zeros(at.size, bool))]
-        if self._water is not None:
-            self.dependences.append(self._water.place(current))
+        if self.water is not None:
+            self.dependences.append(self.water.place(current))
 
     def update(
         self, residual: Float, diagonal: Float, new_sets: bool = True, damped: bool = False
@@ -290,9 +291,9 @@ class SlidingCoupling:
         # What closes just now has a pressure only on trial.
         trial_pressure = np.where(before.closed, pressure, pressure - constant * gap)
         self._constrain(force, np.maximum(trial_pressure, 0.0), stiffness)
-        if self._water is not None:
+        if self.water is not None:
             closed = self.status.closed
-            flowing = self._water.flow(self.dependences[1], closed, residual, diagonal)
+            flowing = self.water.flow(self.dependences[1], closed, residual, diagonal)
             self.dependences[1] = flowing
 
     def state(self, residual: Float) -> InterfaceState:
@@ -325,8 +326,8 @@ class SlidingCoupling:
             float(operator.D @ kinematics.gap()),
             kinematics.points[1] + kinematics.origin,
             -(operator.H.T @ force),
-            0.0 if self._water is None else self._water.taken_up,
-            0.0 if self._water is None else self._water.swept,
+            0.0 if self.water is None else self.water.taken_up,
+            0.0 if self.water is None else self.water.swept,
         )
 
     # --- what acts ---------------------------------------------------------------------------
@@ -339,7 +340,7 @@ class SlidingCoupling:
 
     @property
     def _pressure_between(self) -> GapPressure | None:
-        return None if self._water is None else self._water.pressure
+        return None if self.water is None else self.water.pressure
 
     def _tractions(self, residual: Float) -> tuple[Float, Float]:
         """Forces [N/m] and effective tractions [Pa] of kept nodes, zero at others; (n_s, 2)."""

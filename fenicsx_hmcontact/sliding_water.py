@@ -38,6 +38,10 @@ class SlidingWater:
         numbers: Global numbers of the pore pressures of the secondary face and of the primary
             face; empty on a dry body.
         pressure: Pore pressures where the surfaces are.
+        outside: Pressure of the free water around; None where faces and ends are sealed.
+        free_ends: Secondary nodes that free water may wet as ends of the gap; shape (n_s,).
+        covered: Nodes with a pore pressure that the other surface faces; shape (n_p,).
+        ends: Those of them that free water wets as ends of the gap; shape (n_p,).
         film: The film between them; None before water flows.
         taken_up: Water that the gap took from the bodies in the last step [m^3/m].
         swept: Water that came into or left it at its ends, with surfaces that move [m^3/m].
@@ -62,7 +66,7 @@ class SlidingWater:
         self._flow: GapFlow = pair.flow
         self._kinematics, self._layout = kinematics, layout
         self._displacements, self._time_step = displacements, time_step
-        self._edges = surfaces[0].edges
+        self._edges, self._name = surfaces[0].edges, f"pair {pair.name}"
         dofs = [surface_dofs(surface, pressure.function_space) for surface in surfaces]
         wet = [bool((numbers >= 0).any()) for numbers in dofs]
         partly = any(w and bool((numbers < 0).any()) for w, numbers in zip(wet, dofs, strict=True))
@@ -80,6 +84,8 @@ class SlidingWater:
         self._prescribed = np.zeros(len(surfaces[0].nodes), bool)
         if wet[0]:
             self._prescribed = layout.gather(self.numbers[0], constrained) > 0.0
+        self.outside = self._flow.outside
+        self.free_ends = np.full(len(surfaces[0].nodes), self.outside is not None and wet[0])
         self._before, self._volume = self._covered_gap(), self._gap_volume()
         self.film: MovingFilm | None = None
         self.taken_up = self.swept = 0.0
@@ -102,7 +108,12 @@ class SlidingWater:
             self._layout.gather(numbers, current) if numbers.size else None
             for numbers in self.numbers
         ]
-        water = self.pressure = GapPressure(self._kinematics, self._prescribed, *faces)
+        ends = self._open_ends()
+        faced = self._kinematics.faced
+        self.covered = np.concatenate((self._kinematics.pressures.kept, faced))
+        self.ends = np.concatenate((ends, np.zeros_like(faced)))
+        water = self.pressure = GapPressure(self._kinematics, self._prescribed | ends, *faces)
+        self.covered, self.ends = (marks[water.faces] for marks in (self.covered, self.ends))
         operator, related = self._kinematics.pressures, water.related
         numbers = np.concatenate(self.unknowns)
         first = self._displacements.size
@@ -163,6 +174,25 @@ class SlidingWater:
         self.taken_up = float(self.film.volumes.sum())
         self.swept = self._volume - before - self.taken_up
         self._before = self._covered_gap()
+
+    def free_pressure(self) -> Float:
+        """Pressure of the free water at the nodes with a pore pressure [Pa]; shape (n_p,)."""
+        points = np.concatenate(self._kinematics.points)[self.pressure.faces]
+        if not callable(self.outside):
+            return np.full(len(points), self.outside)
+        values = np.asarray(self.outside(points + self._kinematics.origin), float)
+        if values.shape != (len(points),) or not np.isfinite(values).all():
+            raise ValueError(f"outside of {self._name} must return one pressure a point")
+        return values
+
+    def _open_ends(self) -> Bool:
+        """Nodes at the end of the film that no support holds; shape (n_s,)."""
+        kinematics, edges = self._kinematics, self._edges
+        kept = kinematics.pressures.kept
+        goes_on = np.zeros(len(kept), int)
+        for end in range(2):
+            np.add.at(goes_on, edges[:, end], kept[edges[:, 1 - end]])
+        return self.free_ends & kinematics.operator.kept & (goes_on < 2)
 
     def _covered_gap(self) -> Float:
         """Gap where there is a film, nan elsewhere; shape (n_s,)."""

@@ -11,7 +11,13 @@ import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, eye_array, hstack
 
 from .linearisation import GeometryDerivatives, geometry_derivatives
-from .mortar import MortarOperator, Segments, mortar_operator, mortar_segments
+from .mortar import (
+    MortarOperator,
+    Segments,
+    mortar_operator,
+    mortar_segments,
+    primary_coverage,
+)
 from .pair import ContactPair
 from .surface import Surface
 
@@ -37,6 +43,7 @@ class Kinematics:
         segments: Where they face each other.
         operator: Coupling of the displacements.
         pressures: Coupling of the pore pressures: prescribed displacements do not drop a node.
+        faced: Primary nodes that the secondary surface faces; shape (n_m,).
     """
 
     def __init__(
@@ -58,12 +65,13 @@ class Kinematics:
         self._start = displacements
         self._closed_gaps = np.zeros(len(dropped))
         self._covered = np.zeros(len(dropped), bool)
+        self.faced = np.zeros(len(primary.nodes), bool)
         self._couple(secondary, primary)
         self.place(displacements)
         gap = self.gap()
         near = self.operator.kept & (np.abs(gap) <= pair.close_gaps)
         self._closed_gaps[near] = gap[near]
-        self._covered_start = self._covered
+        self._start_coverage = self._covered, self.faced
 
     secondary: Surface
     primary: Surface
@@ -81,11 +89,11 @@ class Kinematics:
     def start_step(self) -> None:
         """Measure slip from here on, and remember which nodes are covered."""
         self._start = self._u
-        self._covered_start = self._covered
+        self._start_coverage = self._covered, self.faced
 
     def restart_step(self) -> None:
         """Forget which nodes were covered since the start of the step."""
-        self._covered = self._covered_start
+        self._covered, self.faced = self._start_coverage
 
     @property
     def points(self) -> tuple[Float, Float]:
@@ -209,6 +217,10 @@ class Kinematics:
         self.operator = self._coupled(self._dropped)
         self.pressures = self._coupled(None) if self._dropped.any() else self.operator
         self._covered = self.pressures.kept
+        length = np.bincount(primary.edges.ravel(), np.repeat(primary.lengths / 2.0, 2))
+        late = np.where(self.faced, LATE, 1.0)
+        covered = primary_coverage(primary, self.segments)
+        self.faced = covered >= late * options.min_coverage * length
 
     def _coupled(self, dropped: npt.NDArray[np.bool_] | None) -> MortarOperator:
         """Couple the surfaces; nodes are dropped late, or those at the limit would come and go."""

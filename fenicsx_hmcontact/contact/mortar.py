@@ -457,6 +457,18 @@ def covered_products(
     return assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
 
 
+def primary_coverage(primary: Surface, segments: Segments) -> Float:
+    """Integrate the shape functions of the primary nodes over what is covered [m]; shape (n_m,).
+
+    Args:
+        primary: Surface that faces the secondary one.
+        segments: Its covered part.
+    """
+    nodes = primary.edges[segments.primary_edge].ravel()
+    values = (segments.weight[:, None] * segments.primary_shapes).ravel()
+    return np.bincount(nodes, values, len(primary.nodes)).astype(float)
+
+
 def _shapes(xi: Float) -> Float:
     return np.stack([1.0 - xi, 1.0 + xi], axis=-1) / 2.0
 

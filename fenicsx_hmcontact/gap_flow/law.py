@@ -58,6 +58,10 @@ class GapFlow:
             makes the matrix of wide gaps singular (condition ~ g^3). For the error of the pressure
             1e-5 (12 mu_f 1e6 k h / gamma_f)^(1/3), k and h permeability and mesh size beside it.
         gravity: Direction in which the water in the gap weighs, of length 1; None without gravity.
+        outside: Pore pressure [Pa] of free water around: a number, or a function of the coordinates
+            [m], shape (n, 2), that returns n of them. It stands on what no other surface faces, and
+            at the ends of the gap but for those that a support holds (symmetry). None where faces
+            and ends are sealed. Of a dry secondary surface the ends stay sealed.
 
     Raises:
         ValueError: If a value is not positive (the aperture: negative), or the direction is none.
@@ -69,6 +73,7 @@ class GapFlow:
     aperture: float | ApertureLaw | None = None
     aperture_cap: float = math.inf
     gravity: tuple[float, float] | None = None
+    outside: float | Callable[[Float], Float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""
@@ -80,6 +85,8 @@ class GapFlow:
             raise ValueError(f"aperture_cap is {self.aperture_cap}; it must be positive")
         if self.gravity is not None and not abs(math.hypot(*self.gravity) - 1.0) <= UNIT:
             raise ValueError(f"gravity is {self.gravity}; it must be a direction of length 1")
+        if not (self.outside is None or callable(self.outside) or math.isfinite(self.outside)):
+            raise ValueError(f"outside is {self.outside}; it must be a pressure, or None")
         if self.aperture is None or callable(self.aperture):
             return
         if not (self.aperture >= 0.0 and math.isfinite(self.aperture)):

@@ -326,15 +326,22 @@ class ContactProblem:
             if isinstance(pair.friction, Tied)
         ]
         # A node on the secondary surfaces of two pairs is one in the first, and dropped in others.
-        taken = self._constrained.copy()
+        taken = np.zeros_like(self._constrained)
         for coupling in tied:
             taken |= np.isin(self.layout.global_index, coupling.numbers()[0])
         self._sliding = []
         for pair in pairs:
             if not isinstance(pair.friction, Tied):
-                self._sliding.append(SlidingCoupling(pair, *arguments, taken, self._dt))
+                self._sliding.append(
+                    SlidingCoupling(pair, *arguments, self._constrained, taken.copy(), self._dt)
+                )
                 taken |= np.isin(self.layout.global_index, self._sliding[-1].numbers()[0])
         self._couplings: list[Coupling | SlidingCoupling] = [*tied, *self._sliding]
+        secondary = np.concatenate([c.numbers()[0] for c in self._couplings] or [np.zeros(0)])
+        known, count = np.unique(secondary, return_counts=True)
+        for water in (c.water for c in self._sliding if c.water is not None):
+            meeting = np.isin(water.numbers[0], known[count > 1])
+            water.meeting[: meeting.size] = meeting
         filled = [c.pair for c in tied if c.aperture > 0.0] + [c.pair for c in self._sliding]
         for pair in filled:
             if pair.flow is not None and self._time_step is None:

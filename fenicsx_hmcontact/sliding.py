@@ -57,6 +57,7 @@ class SlidingCoupling:
         unknowns: Fields of the problem; one of them is the displacement.
         layout: Their numbering.
         constrained: Which local unknowns are prescribed.
+        taken: Which local unknowns are secondary in other pairs.
         time_step: Returns the length of the step [s]; called where water flows in the gap.
 
     Attributes:
@@ -80,6 +81,7 @@ class SlidingCoupling:
         unknowns: Sequence[fem.Function],
         layout: FieldLayout,
         constrained: npt.NDArray[np.bool_],
+        taken: npt.NDArray[np.bool_],
         time_step: Callable[[], float],
     ) -> None:
         self.pair = pair
@@ -99,8 +101,11 @@ class SlidingCoupling:
                 )
         # Secondary and primary displacements
         self._dofs = [layout.global_of_blocks(u, numbers).ravel() for numbers in blocks]
-        marks = constrained.astype(float)
-        dropped = layout.gather(self._dofs[0], marks).reshape(-1, 2).any(axis=1)
+        dropped = (
+            layout.gather(self._dofs[0], (constrained | taken).astype(float))
+            .reshape(-1, 2)
+            .any(axis=1)
+        )
         self._dropped = dropped
         if dropped.all():
             raise ValueError(
@@ -125,7 +130,8 @@ class SlidingCoupling:
                 unknowns[p],
                 p,
                 layout,
-                marks,
+                constrained.astype(float),
+                taken.astype(float),
                 np.concatenate(self._dofs),
                 time_step,
             )

@@ -31,6 +31,7 @@ class SlidingWater:
         field: Its number in the layout.
         layout: Numbering of the unknowns.
         constrained: Marks of the prescribed unknowns, as local array.
+        taken: Marks of the secondary unknowns of other pairs, as local array.
         displacements: Global numbers of the displacements of both surfaces.
         time_step: Returns the length of the step [s].
 
@@ -38,6 +39,7 @@ class SlidingWater:
         numbers: Global numbers of the pore pressures of the secondary face and of the primary
             face; empty on a dry body.
         pressure: Pore pressures where the surfaces are.
+        meeting: Secondary nodes that other pairs have too: their films meet; shape (n_s,).
         outside: Pressure of the free water around; None where faces and ends are sealed.
         free_ends: Secondary nodes that free water may wet as ends of the gap; shape (n_s,).
         covered: Nodes with a pore pressure that the other surface faces; shape (n_p,).
@@ -59,6 +61,7 @@ class SlidingWater:
         field: int,
         layout: FieldLayout,
         constrained: Float,
+        taken: Float,
         displacements: npt.NDArray[np.int64],
         time_step: Callable[[], float],
     ) -> None:
@@ -81,9 +84,13 @@ class SlidingWater:
             layout.global_of_blocks(field, numbers).ravel() if w else none
             for w, numbers in zip(wet, dofs, strict=True)
         )
-        self._prescribed = np.zeros(len(surfaces[0].nodes), bool)
-        if wet[0]:
-            self._prescribed = layout.gather(self.numbers[0], constrained) > 0.0
+        self._prescribed, self._taken = (
+            layout.gather(self.numbers[0], marks) > 0.0
+            if wet[0]
+            else np.zeros(len(surfaces[0].nodes), bool)
+            for marks in (constrained, taken)
+        )
+        self.meeting = self._taken.copy()
         self.outside = self._flow.outside
         self.free_ends = np.full(len(surfaces[0].nodes), self.outside is not None and wet[0])
         self._before, self._volume = self._covered_gap(), self._gap_volume()
@@ -112,7 +119,9 @@ class SlidingWater:
         faced = self._kinematics.faced
         self.covered = np.concatenate((self._kinematics.pressures.kept, faced))
         self.ends = np.concatenate((ends, np.zeros_like(faced)))
-        water = self.pressure = GapPressure(self._kinematics, self._prescribed | ends, *faces)
+        held = self._prescribed | ends
+        free, inner = ~(held | self._taken), ~(held | self.meeting)
+        water = self.pressure = GapPressure(self._kinematics, free, inner, *faces)
         self.covered, self.ends = (marks[water.faces] for marks in (self.covered, self.ends))
         operator, related = self._kinematics.pressures, water.related
         numbers = np.concatenate(self.unknowns)

@@ -23,7 +23,10 @@ class GapPressure:
 
     Args:
         kinematics: The surfaces.
-        prescribed: Secondary nodes with a prescribed pore pressure; shape (n_s,).
+        free: Secondary nodes whose unknown may be the pressure drop: neither prescribed nor that of
+            another pair; shape (n_s,).
+        inner: Secondary nodes where the film has the mean pressure of both faces; not where it is
+            prescribed, nor where films of two pairs meet, which must have one pressure; (n_s,).
         secondary: Pore pressures of the secondary nodes [Pa]; shape (n_s,). None on a dry body.
         primary: Pore pressures of the primary nodes [Pa]; shape (n_m,). None on a dry body.
 
@@ -31,8 +34,8 @@ class GapPressure:
         related: Secondary nodes whose unknown is the pressure drop; shape (n_s,).
         drop: Pressure of the secondary less that of the primary face, zero at other nodes [Pa];
             shape (n_s,).
-        mean: Mean pressure of both faces (Eq. 86), or that of the only porous one; where it is
-            prescribed, that of the secondary face: so a reservoir at the end of a gap feeds it
+        mean: Mean pressure of both faces (Eq. 86) at inner nodes, that of the secondary face at
+            others: so a reservoir at the end of a gap feeds it; or that of the only porous face
             [Pa]; shape (n_s,).
         force: Force of the water on the secondary surface, along the normal [N/m]; shape (n_s,).
     """
@@ -40,18 +43,20 @@ class GapPressure:
     def __init__(
         self,
         kinematics: Kinematics,
-        prescribed: npt.NDArray[np.bool_],
+        free: npt.NDArray[np.bool_],
+        inner: npt.NDArray[np.bool_],
         secondary: Float | None,
         primary: Float | None,
     ) -> None:
         self._kinematics = kinematics
-        self._prescribed = prescribed
+        self._free, self._inner = free, inner
         self._secondary, self._primary = secondary, primary
         operator = kinematics.pressures
-        self.related = np.zeros_like(prescribed)
-        self.drop = np.zeros(len(prescribed))
+        self._averaged = operator.kept & inner
+        self.related = np.zeros_like(free)
+        self.drop = np.zeros(len(free))
         if secondary is not None and primary is not None:
-            self.related = operator.kept & ~prescribed
+            self.related = operator.kept & free
             drop = secondary + operator.C @ secondary - operator.H @ primary
             self.drop = np.where(self.related, drop, 0.0)
         present = [values for values in (secondary, primary) if values is not None]
@@ -69,7 +74,7 @@ class GapPressure:
             None if p is None else p + unit_weight * h
             for p, h in zip((self._secondary, self._primary), heights, strict=True)
         )
-        return GapPressure(self._kinematics, self._prescribed, *excess)
+        return GapPressure(self._kinematics, self._free, self._inner, *excess)
 
     @property
     def faces(self) -> npt.NDArray[np.intp]:
@@ -90,8 +95,8 @@ class GapPressure:
             return csr_array(eye_array(len(self.related)))
         if self._secondary is None:
             return csr_array(diags_array(self._share) @ operator.H)
-        half = diags_array(0.5 * self.related)
-        own = diags_array(1.0 - 0.5 * self.related) - half @ operator.C
+        half = diags_array(0.5 * self._averaged)
+        own = diags_array(1.0 - 0.5 * self._averaged) - half @ operator.C
         return hstack((own, half @ operator.H), format="csr")
 
     @property
@@ -114,16 +119,12 @@ class GapPressure:
         Args:
             pressure: Derivatives of the coupling of the pore pressures.
         """
-        if self._secondary is None or self._primary is None:
-            n, m = (len(points) for points in self._kinematics.points)
-            return csr_array((n, 2 * (n + m)))
-        related = diags_array(self.related.astype(float))
-        return related @ pressure.relative(self._secondary[:, None], self._primary[:, None])
+        return self._difference_derivative(self.related, pressure)
 
     def mean_derivative(self, pressure: GeometryDerivatives) -> csr_array:
         """Derivative of the mean pressure with respect to the coordinates; as the drop's."""
         if self._secondary is not None or self._primary is None:
-            return -0.5 * self.drop_derivative(pressure)
+            return -0.5 * self._difference_derivative(self._averaged, pressure)
         passed_on = self._kinematics.pressures.H @ self._primary
         none = np.zeros((len(self._share), 1))
         of_primary = diags_array(-self._share) @ pressure.relative(none, self._primary[:, None])
@@ -142,7 +143,7 @@ class GapPressure:
         operator, n = self._kinematics.pressures, len(volumes)
         if self._primary is None:
             return csr_array((n, 2 * (n + operator.H.shape[1])))
-        weights = self._share if self._secondary is None else 0.5 * self.related
+        weights = self._share if self._secondary is None else 0.5 * self._averaged
         passed_on = weights * volumes
         per_length = np.divide(passed_on, operator.D, out=np.zeros(n), where=operator.D > 0.0)
         spread = -pressure.forces(per_length[:, None])
@@ -172,6 +173,16 @@ class GapPressure:
         result += diags_array(share) @ pressure.mass(self.mean, displacement)
         of_share = diags_array(share**2 * plain * operator.kept) @ self._beside(displacement)
         return csr_array(result - of_share)
+
+    def _difference_derivative(
+        self, nodes: npt.NDArray[np.bool_], pressure: GeometryDerivatives
+    ) -> csr_array:
+        """Derivative of the difference of both faces at some nodes; shape (n_s, 2 n_s + 2 n_m)."""
+        if self._secondary is None or self._primary is None:
+            n, m = (len(points) for points in self._kinematics.points)
+            return csr_array((n, 2 * (n + m)))
+        of_all = pressure.relative(self._secondary[:, None], self._primary[:, None])
+        return diags_array(nodes.astype(float)) @ of_all
 
     @property
     def _share(self) -> Float:

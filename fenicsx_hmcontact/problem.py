@@ -337,7 +337,9 @@ class ContactProblem:
                 )
                 taken |= np.isin(self.layout.global_index, self._sliding[-1].numbers()[0])
         self._couplings: list[Coupling | SlidingCoupling] = [*tied, *self._sliding]
-        secondary = np.concatenate([c.numbers()[0] for c in self._couplings] or [np.zeros(0)])
+        numbers = [coupling.numbers() for coupling in self._couplings]
+        none = np.zeros(0, np.int64)
+        secondary = np.concatenate([none, *(secondary for secondary, _ in numbers)])
         known, count = np.unique(secondary, return_counts=True)
         for water in (c.water for c in self._sliding if c.water is not None):
             meeting = np.isin(water.numbers[0], known[count > 1])
@@ -348,7 +350,6 @@ class ContactProblem:
                 raise ValueError(
                     f"pair {pair.name} has water in its gap: the problem needs time_step"
                 )
-        numbers = [coupling.numbers() for coupling in self._couplings]
         tied_numbers = [n for coupling in tied for n in coupling.numbers()]
         held = np.flatnonzero(self._constrained)
         self._free_water = FreeWater(
@@ -358,7 +359,7 @@ class ContactProblem:
         )
         self.condensation = Condensation(
             np.concatenate([self._free_water.numbers, *(n for pair in numbers for n in pair)]),
-            np.concatenate([self._free_water.numbers, *(secondary for secondary, _ in numbers)]),
+            np.concatenate((self._free_water.numbers, secondary)),
             self.layout,
         )
         self.condensation.update(self._dependences)

@@ -49,7 +49,7 @@ class SlidingWater:
         swept: Water that came into or left it at its ends, with surfaces that move [m^3/m].
 
     Raises:
-        ValueError: If both bodies are dry, or one of the surfaces in part.
+        ValueError: If both bodies are dry, one of the surfaces in part, or the aperture is zero.
     """
 
     def __init__(
@@ -78,6 +78,11 @@ class SlidingWater:
                 f"pair {pair.name}: water in the gap needs a porous body on one side at least, and "
                 f"each surface on porous or on dry bodies alone; {pressure.name} does not reach "
                 + ("all of a surface" if partly else "either surface")
+            )
+        if pair.flow.aperture == 0.0:
+            raise ValueError(
+                f"pair {pair.name}: an aperture of zero is for tied pairs; between surfaces that "
+                "slide the aperture is the gap: leave it out"
             )
         none = np.zeros(0, np.int64)
         self.numbers = tuple(

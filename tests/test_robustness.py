@@ -477,10 +477,13 @@ def test_friction_that_is_not_a_number_names_the_pair(comm):
 def test_sliding_pairs_refuse_what_they_cannot_do(comm):
     domain = stack(comm, (4, 5), rows=2)
     arguments = dict(fixed={("bottom_0", 0): 0.0, ("bottom_0", 1): 0.0}, drained={"top_1": 0.0})
-    for aperture in (1e-4, 0.0):
+    for aperture, law, message in (
+        (0.0, FRICTION, "an aperture of zero is for tied pairs"),
+        (hm.ResidualAperture(1e-4), hm.Tied(), "tied surfaces have no gap"),
+    ):
         flow = hm.GapFlow(1e-9, aperture=aperture)
-        with pytest.raises(ValueError, match="given aperture is for tied pairs"):
-            Porous(domain, **arguments, pairs=[("bottom_1", "top_0", flow, FRICTION)])
+        with pytest.raises(ValueError, match=message):
+            Porous(domain, **arguments, pairs=[("bottom_1", "top_0", flow, law)])
     m = Porous(domain, **arguments, pairs=[("bottom_1", "top_0", hm.GapFlow(1e-9), FRICTION)])
     with pytest.raises(ValueError, match=r"time_step is 0\.0; it must be positive"):
         m.step(0.0)

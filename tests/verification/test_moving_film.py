@@ -180,3 +180,43 @@ def test_water_in_a_gap_needs_the_step(comm):
     pair = hm.ContactPair(domain.facet_tags, *surfaces, hm.Frictionless(), flow=hm.GapFlow(1e-9))
     with pytest.raises(ValueError, match="water in its gap: the problem needs time_step"):
         hm.ContactProblem(model.F, [model.u, model.p], bcs=model.bcs, pairs=[pair])
+
+
+def test_units_do_not_matter(comm):
+    answers = []
+    for m, N, s in ((1.0, 1.0, 1.0), (1e3, 1e-3, 1 / 86400)):
+        Pa = N / m**2
+        domain = stack(comm, (7, 5), rows=4, width=m, levels=np.array([0.0, 0.5, 1.0]) * m)
+        model = Porous(
+            domain,
+            fixed=HELD | {("top_1", 0): 0.0},
+            drained={"top_1": 0.0, "right_1": 0.0},
+            tractions={"top_1": (0.0, -1e4 * Pa)},
+            material=hm.LinearElastic(1e8 * Pa, 0.2),
+            permeability=1e-9 * m / s,
+            unit_weight=GAMMA * N / m**3,
+            dt=400.0 * s,
+        )
+        upper = domain.cell_tags.find(domain.bodies["block_1"])
+        model.u.x.array[2 * np.unique(model.V.dofmap.list[upper]) + 1] = 5e-6 * m
+        flow = hm.GapFlow(1e-9 * m / s, 1e-3 * Pa * s, GAMMA * N / m**3, gravity=(0.0, -1.0))
+        surfaces = domain.surface("bottom_1"), domain.surface("top_0")
+        pair = hm.ContactPair(domain.facet_tags, *surfaces, hm.CoulombFriction(0.3), flow=flow)
+        model.problem = hm.ContactProblem(
+            model.F, [model.u, model.p], bcs=model.bcs, pairs=[pair], time_step=model.dt
+        )
+        iterations = [model.step().iterations for _ in range(8)]
+        state = model.problem.interface(pair)
+        assert 0 < state.closed.sum() or state.volume > 0.0
+        answers.append(
+            [
+                iterations,
+                state.gap / m * 1e6,
+                state.pressure / (1e4 * Pa),
+                state.pore_pressure / (1e4 * Pa),
+                state.taken_up / m**2 * 1e6,
+                model.outflow() / m**2 * 1e6,
+            ]
+        )
+    for si, other in zip(*answers, strict=True):
+        np.testing.assert_allclose(si, other, rtol=0, atol=1e-9)

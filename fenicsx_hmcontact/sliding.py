@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -223,6 +224,16 @@ class SlidingCoupling:
         self._held = None
         self.status = self._committed
         self.kinematics.restart_step()
+
+    def save(self) -> Any:
+        """What the start of the step leaves to it; its arrays are never written to."""
+        return self._committed, self._last_slip, self._aperture, self.kinematics.save()
+
+    def restore(self, state: Any) -> None:
+        """Go back to a saved start of a step; `place` is to follow."""
+        self._committed, self._last_slip, self._aperture, kinematics = state
+        self.kinematics.restore(kinematics)
+        self.reset()
 
     def place(self, current: Float) -> None:
         """Follow the surfaces, and couple them where they are. Collective.

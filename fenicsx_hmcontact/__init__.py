@@ -25,16 +25,40 @@ from .contact import (  # noqa: E402
 )
 from .domain import Domain, vertex_ghost_partitioner  # noqa: E402
 from .gap_flow import GapFlow, ResidualAperture  # noqa: E402
-from .materials import LinearElastic  # noqa: E402
+from .materials import (  # noqa: E402
+    ElasticPlastic,
+    LinearElastic,
+    Material,
+    MaterialStress,
+    MaterialUpdate,
+    MohrCoulomb,
+    ReturnMapping,
+    Tresca,
+)
 from .poromechanics import (  # noqa: E402
     darcy_flux,
     equilibrium,
+    finite_strain,
     pressure_projection,
     water_balance,
 )
 from .problem import ContactProblem  # noqa: E402
-from .smoothing import create_node_cells, dc, node_cells_measure  # noqa: E402
-from .solvers import ConvergenceError, NewtonOptions, SingularSystemError  # noqa: E402
+from .smoothing import (  # noqa: E402
+    create_node_cells,
+    dc,
+    evaluate_at_points,
+    node_cells_measure,
+)
+from .solvers import (  # noqa: E402
+    ConvergenceError,
+    NewtonOptions,
+    SingularSystemError,
+    StepOptions,
+    StepRejected,
+    TimeStepping,
+    TimeSteppingError,
+    TransientModel,
+)
 
 __version__ = version("fenicsx_hmcontact")
 
@@ -44,21 +68,35 @@ __all__ = [
     "ConvergenceError",
     "CoulombFriction",
     "Domain",
+    "ElasticPlastic",
     "Frictionless",
     "GapFlow",
     "InterfaceState",
     "LinearElastic",
+    "Material",
+    "MaterialStress",
+    "MaterialUpdate",
+    "MohrCoulomb",
     "MortarOptions",
     "NewtonOptions",
     "NodeState",
     "ResidualAperture",
+    "ReturnMapping",
     "SingularSystemError",
+    "StepOptions",
+    "StepRejected",
     "Tied",
+    "TimeStepping",
+    "TimeSteppingError",
+    "TransientModel",
+    "Tresca",
     "__version__",
     "create_node_cells",
     "darcy_flux",
     "dc",
     "equilibrium",
+    "evaluate_at_points",
+    "finite_strain",
     "node_cells_measure",
     "pressure_projection",
     "vertex_ghost_partitioner",

@@ -13,6 +13,7 @@ from dolfinx.mesh import Mesh
 from ufl.algorithms import expand_derivatives
 
 from . import _compat
+from .materials import MaterialStress
 from .smoothing import (
     PointForm,
     check_smoothable,
@@ -27,11 +28,11 @@ class CompiledBlock:
     """One block of the residual or of the tangent.
 
     Attributes:
-        smoothed: Integrands at smoothing points, with their compiled kernels.
+        smoothed: Integrands at smoothing points, with the compiled `PointForm.sources`.
         rest: Terms on triangles and facets, compiled; None if there are none.
     """
 
-    smoothed: list[tuple[PointForm, Any]]
+    smoothed: list[tuple[PointForm, list[Any]]]
     rest: Any
 
 
@@ -45,6 +46,7 @@ class CompiledModel:
         tangent: Blocks by test and trial field.
         tangent_coefficients: Functions and constants the tangent depends on.
         entity_maps: Maps to submeshes that functions live on.
+        stresses: Stresses of materials that stand in the residual.
     """
 
     unknowns: list[fem.Function]
@@ -52,6 +54,7 @@ class CompiledModel:
     tangent: list[list[CompiledBlock]]
     tangent_coefficients: list[Any]
     entity_maps: Sequence[Any] | None
+    stresses: list[MaterialStress]
 
     @property
     def is_smoothed(self) -> bool:
@@ -65,7 +68,7 @@ class CompiledModel:
 
         Args:
             unknowns: The new unknowns, in the old order.
-            replace: Successors of everything else.
+            replace: Successors of everything else, stresses of materials included.
 
         Raises:
             ValueError: If the number of unknowns differs.
@@ -76,6 +79,9 @@ class CompiledModel:
             )
         # By identity: function spaces have no hash.
         known = {id(old): new for old, new in replace.items()}
+        for old, new in replace.items():
+            if isinstance(old, MaterialStress):
+                known |= {id(f): g for f, g in zip(old.functions, new.functions, strict=True)}
         for old, new in zip(self.unknowns, unknowns, strict=True):
             known[id(old)] = new
             known[id(old.function_space)] = new.function_space
@@ -102,18 +108,15 @@ def compile_model(
         check_smoothable(form)
     trials = [ufl.TrialFunction(u.function_space) for u in unknowns]
     tangent = [
-        [
-            expand_derivatives(ufl.derivative(form, u, du))
-            for u, du in zip(unknowns, trials, strict=True)
-        ]
-        for form in forms
+        [_derivative(form, u, du) for u, du in zip(unknowns, trials, strict=True)] for form in forms
     ]
     flat = forms + [form for row in tangent for form in row]
     smoothed = [point_forms(form) for form in flat]
     rest = [split_by_measure(form)[1] for form in flat]
-    sources = [p.form for group in smoothed for p in group] + [f for f in rest if f is not None]
+    sources = [form for group in smoothed for p in group for form in p.sources]
+    sources += [form for form in rest if form is not None]
     compiled = iter(_compat.compile_forms(unknowns[0].function_space.mesh.comm, sources))
-    kernels = [[(p, next(compiled)) for p in group] for group in smoothed]
+    kernels = [[(p, [next(compiled) for _ in p.sources]) for p in group] for group in smoothed]
     blocks = [
         CompiledBlock(group, None if form is None else next(compiled))
         for group, form in zip(kernels, rest, strict=True)
@@ -130,7 +133,23 @@ def compile_model(
         [blocks[n + i * n : n + (i + 1) * n] for i in range(n)],
         list(inputs),
         entity_maps,
+        list(dict.fromkeys(stress for form in forms for stress in _stresses(form))),
     )
+
+
+def _stresses(form: ufl.Form) -> list[MaterialStress]:
+    """Stresses of materials that stand in a form."""
+    operators = (getattr(f, "operator", None) for f in form.coefficients())
+    return [operator for operator in operators if operator is not None]
+
+
+def _derivative(form: ufl.Form, u: fem.Function, du: ufl.Argument) -> ufl.Form:
+    """Derivative of a form by a field, through stresses of materials too."""
+    result = ufl.derivative(form, u, du)
+    for stress in _stresses(form):
+        if stress.u is u:
+            result += ufl.derivative(form, stress.value, stress.variation(du))
+    return expand_derivatives(result)
 
 
 def integration_mesh(

@@ -19,10 +19,12 @@ from .coupling import Coupling
 from .diagnosis import free_motions
 from .domain import Domain
 from .free_water import FreeWater
+from .materials import MaterialStress
 from .model import CompiledBlock, CompiledModel, compile_model, integration_mesh
 from .sliding import SlidingCoupling
-from .smoothing import SmoothedTerm, create_node_cells
+from .smoothing import NodeCells, PointFunction, SmoothedTerm, create_node_cells
 from .solvers import (
+    ConvergenceError,
     FieldLayout,
     LinearSolver,
     LocalMatrix,
@@ -136,36 +138,83 @@ class ContactProblem:
         Raises:
             ConvergenceError: If Newton's method does not converge. The unknowns are then as before.
             SingularSystemError: If nothing holds a body or a pore pressure; it says which.
-            RuntimeError: If a linear system cannot be solved, or the mesh has moved.
+            RuntimeError: If a linear system cannot be solved, the mesh has moved, or the start of
+                the step has not followed the last one.
         """
-        moved = not np.array_equal(self._points, self._mesh.geometry.x)
-        if self.comm.allreduce(moved):
-            raise RuntimeError(
-                "the mesh has moved since the problem was made: make a new one, "
-                "ContactProblem(problem.model, ...)"
-            )
-        start = []
+        self._check_mesh()
+        for stress in self._stresses:
+            stress.begin()
         for u in self.unknowns:
             u.x.scatter_forward()
-            start.append(u.x.array.copy())
-        self._start = np.concatenate(start)
-        before = self._raw.copy(), self._condensed.copy()
+        state = self.save()
+        self._start = self._current()
         self._moved = False
         for coupling in self._sliding:
             coupling.reset()
         try:
             result = self._iterate()
+            self._check_materials([max(residuals) for residuals in result.history])
         except Exception:
-            for u, array in zip(self.unknowns, start, strict=True):
-                u.x.array[:] = array
-            self._raw[:], self._condensed[:] = before
-            for coupling in self._sliding:
-                coupling.reset()
-            self._place(self._start)
+            self.restore(state)
             raise
-        for coupling in self._sliding:
-            coupling.commit()
+        for follower in self._followers:
+            follower.commit()
         return result
+
+    def move_mesh(self, u: fem.Function, u_n: fem.Function) -> None:
+        """Let the mesh follow a step that converged: finite strain starts the next one there.
+
+        The nodes move by ``u - u_n``, ``u_n`` takes the values of ``u``, and node cells are built
+        anew on axes that have turned with the material. Collective.
+
+        Args:
+            u: Displacement, one of the unknowns; P1.
+            u_n: Displacement at the start of the step.
+
+        Raises:
+            ValueError: If ``u`` is not P1 on the mesh.
+            RuntimeError: If the mesh has been moved by others.
+        """
+        self._check_mesh()
+        space = self.unknowns[self._field(u)].function_space
+        if space.element.basix_element.degree != 1 or space.mesh != self._mesh:
+            raise ValueError(f"the mesh follows a P1 displacement, {u.name} is none")
+        u.x.scatter_forward()
+        u_n.x.scatter_forward()
+        nodes, dofs = _compat.cell_nodes(self._mesh).ravel(), space.dofmap.list.ravel()
+        step = (u.x.array - u_n.x.array).reshape(-1, 2)
+        points = self._points.copy()
+        points[nodes, :2] = self._points[nodes, :2] + step[dofs]
+        u_n.x.array[:] = u.x.array
+        for stress in self._stresses:
+            stress.follow_mesh()
+        self._place_mesh(points)
+
+    def save(self) -> Any:
+        """Copy all that `solve` and `move_mesh` change but ``u_n``, to go back to by `restore`."""
+        arrays = [u.x.array.copy() for u in self.unknowns]
+        followers = [follower.save() for follower in self._followers]
+        angles = None if self.node_cells is None else self.node_cells.angles.copy()
+        return arrays, self._raw.copy(), self._condensed.copy(), followers, self._points, angles
+
+    def restore(self, state: Any) -> None:
+        """Go back to what `save` returned, bit for bit. Collective.
+
+        Steps that have converged since are undone as well.
+
+        Args:
+            state: The saved state, of this problem.
+        """
+        arrays, self._raw[:], self._condensed[:], followers, points, angles = state
+        for u, array in zip(self.unknowns, arrays, strict=True):
+            u.x.array[:] = array
+        for follower, saved in zip(self._followers, followers, strict=True):
+            follower.restore(saved)
+        self._place(self._current())
+        if points is not self._points:
+            if self.node_cells is not None:
+                self.node_cells.angles[:] = angles
+            self._place_mesh(points)
 
     @property
     def settled(self) -> bool:
@@ -262,12 +311,35 @@ class ContactProblem:
                 return coupling.state(self._current(), residual)
         raise ValueError(f"pair {pair.name} is none of this problem's")
 
+    @property
+    def _followers(self) -> list[SlidingCoupling | MaterialStress]:
+        """What has a state at the start of the step."""
+        return [*self._sliding, *self._stresses]
+
+    def _place_mesh(self, points: npt.NDArray[np.float64]) -> None:
+        """Put the nodes of the mesh somewhere; shape (n_nodes, 3)."""
+        self._points = points
+        self._mesh.geometry.x[:] = points
+        if self.node_cells is not None:
+            self.node_cells.follow()
+        self._tangent_inputs = None
+
+    def _check_mesh(self) -> None:
+        """Refuse a mesh that others have moved."""
+        moved = not np.array_equal(self._points, self._mesh.geometry.x)
+        if self.comm.allreduce(moved):
+            raise RuntimeError(
+                "the mesh has moved since the problem was made: make a new one, "
+                "ContactProblem(problem.model, ...), or move it by move_mesh"
+            )
+
     # --- building ---------------------------------------------------------------------------
 
     def _bind(self, model: CompiledModel, successor: Callable[[Any], Any]) -> None:
         """Give the compiled forms the mesh and data of the unknowns."""
-        mesh, maps = self._mesh, self.entity_maps
-        node_cells = self.node_cells = create_node_cells(mesh, maps) if model.is_smoothed else None
+        mesh = self._mesh
+        self._stresses: list[MaterialStress] = [successor(stress) for stress in model.stresses]
+        node_cells = self.node_cells = self._common_node_cells(model)
         n = len(self.unknowns)
         spaces = [u.function_space for u in self.unknowns]
 
@@ -282,7 +354,7 @@ class ContactProblem:
             if block.rest is None:
                 return None
             names = [self.field_names[field] for field in fields]
-            return _compat.bind_form(block.rest, mesh, successor, maps, names)
+            return _compat.bind_form(block.rest, mesh, successor, self.entity_maps, names)
 
         residual, tangent = model.residual, model.tangent
         self._vector_terms = [terms(residual[i], spaces[i]) for i in range(n)]
@@ -293,6 +365,22 @@ class ContactProblem:
             [[terms(tangent[i][j], spaces[i], spaces[j]) for j in range(n)] for i in range(n)],
         )
         self._tangent_coefficients = [successor(f) for f in model.tangent_coefficients]
+
+    def _common_node_cells(self, model: CompiledModel) -> NodeCells | None:
+        """Node cells of the mesh: those that stresses of materials live in, where there are any."""
+        if not model.is_smoothed:
+            return None
+        given = {s.name: s.node_cells for s in self._stresses if s.node_cells is not None}
+        if len({id(node_cells) for node_cells in given.values()}) > 1:
+            raise ValueError(
+                f"{' and '.join(given)} have node cells of their own: give all of them the "
+                "node_cells of the first"
+            )
+        if not given:
+            return create_node_cells(self._mesh, self.entity_maps)
+        node_cells = next(iter(given.values()))
+        node_cells.entity_maps[:] = self.entity_maps
+        return node_cells
 
     def _prescribed_unknowns(self) -> npt.NDArray[np.bool_]:
         """Which local unknowns Dirichlet conditions prescribe; shape (n_local,)."""
@@ -387,8 +475,10 @@ class ContactProblem:
             damped: Whether the last increment was not taken as a whole.
 
         Raises:
-            FloatingPointError: If it is not a number, or a contact surface is folded.
+            FloatingPointError: If it is not a number, a contact surface is folded, or a triangle
+                is inverted.
         """
+        self._update_materials()
         self._raw[:] = 0.0
         for view, form, terms in zip(
             self.layout.views(self._raw), self._vector_forms, self._vector_terms, strict=True
@@ -431,6 +521,28 @@ class ContactProblem:
         if self._free_water.numbers.size:
             self._wet = [self._free_water.dependence(current, self._diagonal)]
         self.condensation.couple(self._dependences)
+
+    def _update_materials(self) -> None:
+        """Find the stresses of all materials at the current state. Collective."""
+        message = ""
+        for stress in self._stresses:
+            try:
+                stress.update()
+            except FloatingPointError as error:
+                message = message or str(error)
+        if self._stresses:
+            message = next(filter(None, self.comm.allgather(message)), "")
+        if message:
+            raise FloatingPointError(message)
+
+    def _check_materials(self, history: list[float]) -> None:
+        """Refuse a step that ends with points where a material has no solution. Collective."""
+        for stress in self._stresses:
+            flagged = self.comm.allreduce(int(stress.end.flagged.sum()))
+            if flagged:
+                raise ConvergenceError(
+                    f"{flagged} points of {stress.name}: {stress.end.reason}", history
+                )
 
     def _iterate(self) -> NewtonResult:
         """Solve by Newton's method; a system that stays singular names what is free."""
@@ -590,14 +702,12 @@ class ContactProblem:
 
     def _assemble_tangent(self) -> bool:
         """Assemble the tangent, unless nothing it depends on has changed; say whether it has."""
-        inputs = [
-            np.array(f.x.array if isinstance(f, fem.Function) else f.value, float).ravel()
-            for f in self._tangent_coefficients
-        ]
+        inputs = [np.array(_values(f), float).ravel() for f in self._tangent_coefficients]
         if self._film.nnz:
             inputs.append(np.array([self._dt()]))
         same = self._tangent_inputs is not None and all(
-            np.array_equal(a, b) for a, b in zip(inputs, self._tangent_inputs, strict=True)
+            np.array_equal(a.view(np.int64), b.view(np.int64))
+            for a, b in zip(inputs, self._tangent_inputs, strict=True)
         )
         changed = bool(self.comm.allreduce(not same))
         if changed:
@@ -619,3 +729,10 @@ class ContactProblem:
             if u is unknown:
                 return field
         raise ValueError(f"{unknown.name} is none of the unknowns {', '.join(self.field_names)}")
+
+
+def _values(f: fem.Function | fem.Constant | PointFunction) -> npt.NDArray[np.float64]:
+    """Values of what stands in a form."""
+    if isinstance(f, PointFunction):
+        return f.values
+    return f.x.array if isinstance(f, fem.Function) else f.value

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -241,6 +242,19 @@ class SlidingCoupling:
         self._held = None
         self.status = self._committed
         self.kinematics.restart_step()
+
+    def save(self) -> Any:
+        """What the start of the step leaves to it; its arrays are never written to."""
+        water = None if self.water is None else self.water.save()
+        return self._committed, self._last_slip, self.kinematics.save(), water
+
+    def restore(self, state: Any) -> None:
+        """Go back to a saved start of a step; `place` is to follow."""
+        self._committed, self._last_slip, kinematics, water = state
+        self.kinematics.restore(kinematics)
+        if self.water is not None:
+            self.water.restore(water)
+        self.reset()
 
     def place(self, current: Float) -> None:
         """Follow the surfaces, and couple them where they are. Collective.

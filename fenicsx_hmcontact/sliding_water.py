@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -188,6 +189,14 @@ class SlidingWater:
         self.taken_up = float(self.film.volumes.sum())
         self.swept = self._volume - before - self.taken_up
         self._before = self._covered_gap()
+
+    def save(self) -> Any:
+        """What the start of the step leaves to it; its arrays are never written to."""
+        return self._before, self._volume, self.taken_up, self.swept
+
+    def restore(self, state: Any) -> None:
+        """Go back to a saved start of a step."""
+        self._before, self._volume, self.taken_up, self.swept = state
 
     def free_pressure(self) -> Float:
         """Pressure of the free water at the nodes with a pore pressure [Pa]; shape (n_p,)."""

@@ -12,7 +12,7 @@ from dolfinx import fem
 
 import fenicsx_hmcontact as hm
 from fenicsx_hmcontact.contact import ContactStatus
-from tests.models import Porous, dense, fix, gathered, largest, loads, stack, total
+from tests.models import dense, fix, gathered, largest, loads, stack, total
 
 MATERIAL = hm.LinearElastic(100.0, 0.3)
 """Moderate against tractions of about 1, so that surfaces bend and turn."""
@@ -186,59 +186,6 @@ def test_tangent_with_a_prescribed_node_and_partial_coverage(law, kind):
 def test_tangent_of_small_motion(law, kind):
     model = Blocks(stack(MPI.COMM_SELF, (5, 3), rows=1, slope=0.3), law, motion="small")
     assert tangent_error(model, kind).error < 1e-7
-
-
-@pytest.mark.parametrize("prescribed", [False, True])
-@pytest.mark.parametrize("kind", ["open", "stick", "slip", "mixed"])
-def test_tangent_with_water(kind, prescribed):
-    domain = stack(MPI.COMM_SELF, (4, 5), rows=2, slope=0.2, shift=0.07)
-    pair = ("bottom_1", "top_0", hm.GapFlow(1e-3))
-    fixed = {("bottom_0", 0): 0.0, ("bottom_0", 1): 0.0}
-    fixed |= {("left_1", 0): 0.0} if prescribed else {}
-    model = Porous(
-        domain,
-        fixed=fixed,
-        drained={"right_1": 0.0} if prescribed else {},
-        pairs=[(*pair, hm.CoulombFriction(0.4, 0.3))],
-        material=hm.LinearElastic(100.0, 0.2),
-        permeability=0.3,
-        unit_weight=1.0,
-        dt=1.0,
-    )
-    problem, coupling = model.problem, model.problem._sliding[0]
-    rng = np.random.default_rng(1)
-    for field, size in ((model.u, 0.004), (model.p, 3.0)):
-        field.x.array[:] = size * rng.normal(size=field.x.array.size)
-    n = len(coupling.status.closed)
-    closed, slipping = np.full(n, kind != "open"), np.full(n, kind in ("slip", "mixed"))
-    if kind == "mixed":
-        closed[::3] = slipping[1::3] = False
-    coupling.status = ContactStatus(closed, slipping & closed, rng.choice([-1.0, 1.0], n))
-    problem.residual()
-    problem._update_tangent()
-    scale, tangent = problem._linear.scale, dense(problem._linear.matrix, problem.comm)
-    start = [field.x.array.copy() for field in problem.unknowns]
-    difference = np.zeros_like(tangent)
-    for i in range(len(tangent)):
-        move = np.zeros(len(tangent))
-        move[i] = 1.0
-        problem.condensation.expand(move)
-        # Where nodes pass each other the derivative has a kink: steps are short.
-        h = 1e-7 if i < start[0].size else 1e-4
-        for sign in (1.0, -1.0):
-            moves = problem.layout.views(move)
-            for field, x, step in zip(problem.unknowns, start, moves, strict=True):
-                field.x.array[:] = x + sign * h * step
-            problem.residual()
-            difference[:, i] += sign * problem._condensed * scale * scale[i] / (2 * h)
-    assert problem.settled
-    free = np.ix_(problem._free, problem._free)
-    error, size = np.abs(difference - tangent)[free], np.abs(tangent).max()
-    pressure = np.arange(len(tangent))[problem._free] >= start[0].size
-    assert error.max() < 1e-6 * size
-    assert error[:, pressure].max() < 1e-10 * size
-    # The water acts: pressures move forces, displacements move water.
-    assert np.abs(tangent[free][np.ix_(~pressure, pressure)]).max() > 1e-3
 
 
 def test_tangent_without_geometry_is_another():

@@ -149,3 +149,100 @@ def point_gradients(
                     result[c, point, a, 0] += gx * values[nodes[k], a]
                     result[c, point, a, 1] += gy * values[nodes[k], a]
     return result
+
+
+@njit(cache=True)
+def triangle_gradients(cells: Any, x: Any) -> Any:
+    """Gradients of the shape functions on triangles [1/m].
+
+    Args:
+        cells: Nodes of each triangle; shape (n_cells, 3), int32.
+        x: Node coordinates [m]; shape (n_nodes, 2).
+
+    Returns:
+        Shape (n_cells, 3, 2).
+    """
+    result = np.empty((cells.shape[0], 3, 2))
+    for t in range(cells.shape[0]):
+        i, j, m = cells[t]
+        twice = (x[j, 0] - x[i, 0]) * (x[m, 1] - x[i, 1]) - (x[m, 0] - x[i, 0]) * (
+            x[j, 1] - x[i, 1]
+        )
+        for a in range(3):
+            p, q = cells[t, (a + 1) % 3], cells[t, (a + 2) % 3]
+            result[t, a, 0] = (x[p, 1] - x[q, 1]) / twice
+            result[t, a, 1] = (x[q, 0] - x[p, 0]) / twice
+    return result
+
+
+@njit(cache=True)
+def patch_corners(
+    cells: Any, triangle_offsets: Any, triangles: Any, offsets: Any, nodes: Any, n_nodes: int
+) -> Any:
+    """Where the vertices of each cell's triangles stand in its patch.
+
+    Args:
+        cells: Nodes of each triangle; shape (n_cells, 3), int32.
+        triangle_offsets: Where each cell's triangles begin in ``triangles``.
+        triangles: Triangles around each node.
+        offsets: Where each patch begins in ``nodes``.
+        nodes: Nodes of the patches.
+        n_nodes: Number of all nodes.
+
+    Returns:
+        Entries of ``nodes``; shape (triangles.size, 3), int32.
+    """
+    position = np.zeros(n_nodes, np.int32)
+    result = np.empty((triangles.size, 3), np.int32)
+    for c in range(offsets.size - 1):
+        for k in range(offsets[c], offsets[c + 1]):
+            position[nodes[k]] = k
+        for k in range(triangle_offsets[c], triangle_offsets[c + 1]):
+            for i in range(3):
+                result[k, i] = position[cells[triangles[k], i]]
+    return result
+
+
+@njit(cache=True)
+def turn_axes(gradients: Any, offsets: Any, angles: Any) -> None:
+    """Turn second gradients from the global axes to those of each cell, in place.
+
+    Args:
+        gradients: Result of `smoothed_gradients`; shape (entries, 3, 2).
+        offsets: Where each patch begins; shape (n_cells + 1,).
+        angles: Angle of each cell's first axis to x, counterclockwise [rad]; shape (n_cells,).
+    """
+    for cell in range(angles.size):
+        c, s = np.cos(angles[cell]), np.sin(angles[cell])
+        for k in range(offsets[cell], offsets[cell + 1]):
+            for i in range(2):
+                along_x, along_y = gradients[k, 1, i], gradients[k, 2, i]
+                gradients[k, 1, i] = c * along_x + s * along_y
+                gradients[k, 2, i] = c * along_y - s * along_x
+
+
+@njit(cache=True)
+def inverted_triangles(cells: Any, x: Any, dofs: Any, step: Any) -> Any:
+    """Triangles that a displacement turns inside out, or that have no area.
+
+    Args:
+        cells: Nodes of each triangle; shape (n_cells, 3), int32.
+        x: Node coordinates [m]; shape (n_nodes, 2) or more columns.
+        dofs: Row of ``step`` of each vertex; shape (n_cells, 3) or more columns.
+        step: Displacements [m]; shape (n_dofs, 2).
+
+    Returns:
+        Marks; shape (n_cells,).
+    """
+    result = np.zeros(cells.shape[0], np.bool_)
+    edges, moved = np.empty((2, 2)), np.empty((2, 2))
+    for t in range(cells.shape[0]):
+        for k in range(2):
+            for a in range(2):
+                edges[k, a] = x[cells[t, k + 1], a] - x[cells[t, 0], a]
+                moved[k, a] = edges[k, a] + step[dofs[t, k + 1], a] - step[dofs[t, 0], a]
+        before = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
+        after = moved[0, 0] * moved[1, 1] - moved[0, 1] * moved[1, 0]
+        # Written so that it holds for NaN as well.
+        result[t] = not before * after > 0.0
+    return result

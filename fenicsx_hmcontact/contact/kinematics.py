@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -94,6 +95,15 @@ class Kinematics:
     def restart_step(self) -> None:
         """Forget which nodes were covered since the start of the step."""
         self._covered, self.faced = self._start_coverage
+
+    def save(self) -> Any:
+        """Where the step starts."""
+        return self._start, self._start_coverage
+
+    def restore(self, state: Any) -> None:
+        """Start the step where a saved one did."""
+        self._start, self._start_coverage = state
+        self.restart_step()
 
     @property
     def points(self) -> tuple[Float, Float]:

@@ -260,12 +260,19 @@ class _Points:
 def _swept(edges: npt.NDArray[np.int32], now: Bool, before: Bool) -> csr_array:
     """Increments that count, from the changes of the gaps; shape (n_s, n_s).
 
-    A node with film now and before has its own; one with film only now that of its neighbours.
+    A node with film now and before has its own; one with film only now that of the nearest nodes
+    along the chain that have their own.
     """
     n = len(now)
-    both, new = now & before, now & ~before
-    ends = np.concatenate((edges, edges[:, ::-1]))
-    ends = ends[new[ends[:, 0]] & both[ends[:, 1]]]
-    count = np.bincount(ends[:, 0], minlength=n)
-    beside = csr_array((1.0 / count[ends[:, 0]], ends.T), (n, n))
-    return csr_array(diags_array(both.astype(float)) + beside)
+    known, missing = now & before, now & ~before
+    result = csr_array(diags_array(known.astype(float)))
+    both_ways = np.concatenate((edges, edges[:, ::-1]))
+    while True:
+        ends = both_ways[missing[both_ways[:, 0]] & known[both_ways[:, 1]]]
+        if not len(ends):
+            return result
+        count = np.bincount(ends[:, 0], minlength=n)
+        beside = csr_array((1.0 / count[ends[:, 0]], ends.T), (n, n))
+        result = csr_array(result + beside @ result)
+        known = known | (count > 0)
+        missing = missing & ~known

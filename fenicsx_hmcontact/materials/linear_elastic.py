@@ -5,11 +5,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import ufl
+
+from .elasticity import IsotropicElasticity
+from .interface import Float, MaterialUpdate
 
 
 @dataclass(frozen=True)
-class LinearElastic:
+class LinearElastic(IsotropicElasticity):
     """Hooke's law; stress is positive in tension.
 
     Attributes:
@@ -20,32 +24,26 @@ class LinearElastic:
         ValueError: If E is not positive or nu not between -1 and 0.5.
     """
 
-    E: float
-    nu: float
-
-    def __post_init__(self) -> None:
-        """Refuse values that make no sense."""
-        if not self.E > 0.0:
-            raise ValueError(f"E is {self.E}; Young's modulus must be positive")
-        if not -1.0 < self.nu < 0.5:
-            raise ValueError(f"nu is {self.nu}; Poisson's ratio must lie between -1 and 0.5")
-
     @property
-    def shear_modulus(self) -> float:
-        """G [Pa]."""
-        return self.E / (2.0 * (1.0 + self.nu))
-
-    @property
-    def lame(self) -> float:
-        """First Lame constant [Pa]."""
-        return self.E * self.nu / ((1.0 + self.nu) * (1.0 - 2.0 * self.nu))
-
-    @property
-    def oedometric_modulus(self) -> float:
-        """Stiffness M against strain in one direction only [Pa]."""
-        return self.lame + 2.0 * self.shear_modulus
+    def history_names(self) -> tuple[str, ...]:
+        """None: the law remembers nothing."""
+        return ()
 
     def stress(self, u: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
         """Effective stress [Pa] in the plane at displacement u [m]; UFL, shape (2, 2)."""
         strain = ufl.sym(ufl.grad(u))
         return 2.0 * self.shear_modulus * strain + self.lame * ufl.tr(strain) * ufl.Identity(2)
+
+    def initial_history(self, n: int) -> Float:
+        """Empty; shape (n, 0)."""
+        return np.zeros((n, 0))
+
+    def update(self, stress: Float, strain: Float, history: Float) -> MaterialUpdate:
+        """Add the stress of the strain increment, see `Material`."""
+        n = len(stress)
+        return MaterialUpdate(
+            stress=stress + strain @ self.stiffness.T,
+            history=history.copy(),
+            by_strain=np.tile(self.stiffness, (n, 1, 1)),
+            by_stress=np.tile(np.eye(4), (n, 1, 1)),
+        )

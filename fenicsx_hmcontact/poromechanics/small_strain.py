@@ -30,7 +30,14 @@ def darcy_flux(
         unit_weight: gamma_f [N/m^3].
         gravity: Direction of gravity as a unit vector, -grad h; None without gravity.
     """
-    head = ufl.grad(p) / unit_weight
+    return flux_of(ufl.grad(p), permeability, unit_weight, gravity)
+
+
+def flux_of(
+    pressure_gradient: Expr, permeability: Any, unit_weight: Any, gravity: Expr | None
+) -> Expr:
+    """Darcy's flux [m/s] of a gradient of the pore pressure [Pa/m], as `darcy_flux`."""
+    head = pressure_gradient / unit_weight
     if gravity is not None:
         head = head - gravity
     return -ufl.dot(permeability, head) if _is_tensor(permeability) else -permeability * head

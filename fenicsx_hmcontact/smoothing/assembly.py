@@ -3,16 +3,144 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem, la
+from dolfinx.mesh import Mesh
+from ufl.core.expr import Expr
 
 from .. import _compat
 from .._kernels import assembly as kernels
+from .measure import dc
 from .node_cells import NodeCells, points_per_cell
-from .point_form import FieldSlots, PointForm
+from .point_form import (
+    FieldSlots,
+    PointForm,
+    is_at_points,
+    is_nodal,
+    is_on_triangles,
+    point_expression,
+)
+
+
+class _Integrand:
+    """An integrand, compiled and bound to the functions of a mesh.
+
+    Args:
+        point_form: The integrand.
+        compiled: The compiled `PointForm.sources`.
+        node_cells: Node cells of the mesh.
+        on_triangles: Whether it is evaluated on the triangles as such.
+    """
+
+    def __init__(
+        self,
+        point_form: PointForm,
+        compiled: Sequence[Any],
+        node_cells: NodeCells,
+        on_triangles: bool = False,
+    ) -> None:
+        self.form = point_form
+        self._compiled = compiled
+        (self._address,) = _compat.kernel_addresses(compiled[0])
+        self._on_triangles = on_triangles
+        self._node_cells = node_cells
+        for f in point_form.coefficients:
+            _check_mesh(f.name, f.mesh if is_at_points(f) else f.function_space.mesh, node_cells)
+        self._field_slots = _component_slots(point_form)
+        rest = iter(compiled[1:])
+        self._averages = {
+            reach: [
+                _Integrand(average, [next(rest)], node_cells, on_triangles=True)
+                for average in group
+            ]
+            for reach, group in point_form.averages.items()
+        }
+
+    @property
+    def cells(self) -> NodeCells:
+        """What the integrand is evaluated in."""
+        return self._node_cells.on_triangles if self._on_triangles else self._node_cells
+
+    def arguments(self, where: npt.NDArray[np.int32]) -> tuple[Any, ...]:
+        """First arguments of the assembly kernels."""
+        cells, form = self.cells, self.form
+        constants = [np.ravel(c.value).astype(np.float64) for c in form.constants]
+        return (
+            self._address,
+            np.concatenate(constants) if constants else np.zeros(1),
+            kernels.REFERENCE_TRIANGLE,
+            where,
+            cells.offsets,
+            cells.nodes,
+            cells.gradients,
+            cells.areas,
+            points_per_cell(form.enhancement),
+            self._nodal_values(),
+            self._field_slots,
+            self._cell_values(),
+            self._point_values(),
+            form.n_coefficients,
+        )
+
+    def evaluate(self, where: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+        """Arrays of the integrand in some cells; shape (cells, n_points, their size)."""
+        size = int(np.prod(self.form.argument_sizes))
+        result = np.empty((where.size, points_per_cell(self.form.enhancement), size))
+        if where.size:
+            kernels.evaluate(*self.arguments(where), result)
+        return result
+
+    def on_triangles(self) -> npt.NDArray[np.float64]:
+        """Arrays of an average's integrand on all triangles; shape (n_triangles, their size)."""
+        return self.evaluate(self.cells.triangles)[:, 0]
+
+    def averages(self, *reach: int) -> list[_Integrand]:
+        """Averages that hold arguments of these numbers."""
+        return self._averages.get(reach, [])
+
+    def patch_vectors(self, number: int) -> npt.NDArray[np.float64]:
+        """Variations of averages by one argument; shape (patch entries, m, components)."""
+        cells = self._node_cells
+        averages = self.averages(number)
+        components = self.form.arguments[number].components
+        result = np.zeros((cells.nodes.size, len(averages), components))
+        gradients = cells.on_triangles.gradients.reshape(-1, 3, 3, 2)[:, :, 0]
+        for m, average in enumerate(averages):
+            forms = average.on_triangles().reshape(-1, components, 2)
+            result[:, m] = kernels.patch_vectors(
+                cells.triangles, cells.weights, cells.corners, gradients, forms, cells.nodes.size
+            )
+        return result
+
+    def _nodal_values(self) -> npt.NDArray[np.float64]:
+        """Nodal values of all P1 components; shape (n_vertices, m)."""
+        cells = self._node_cells
+        columns = [cells.nodal_values(f) for f in self.form.fields(is_nodal)]
+        if self.form.position is not None:
+            columns.append(cells.points)
+        return np.hstack(columns) if columns else np.zeros((cells.points.shape[0], 0))
+
+    def _cell_values(self) -> npt.NDArray[np.float64]:
+        """What is constant on a cell; shape (n_cells, m)."""
+        cells = self.cells
+        columns = [cells.cell_means(f) for f in self.form.fields(is_on_triangles)]
+        columns += [cells.means(average.on_triangles()) for average in self.averages()]
+        return np.hstack(columns) if columns else np.zeros((len(cells), 0))
+
+    def _point_values(self) -> npt.NDArray[np.float64]:
+        """What has values at points; shape (n_cells, n_points, m)."""
+        arrays = [f.values for f in self.form.fields(is_at_points)]
+        if len(arrays) == 1:
+            return arrays[0]
+        if arrays:
+            return np.concatenate(arrays, axis=2)
+        return np.zeros((len(self.cells), points_per_cell(self.form.enhancement), 0))
 
 
 class SmoothedTerm:
@@ -20,33 +148,37 @@ class SmoothedTerm:
 
     Args:
         point_form: The integrand.
-        compiled: Its compiled form.
+        compiled: Its compiled forms, those of `PointForm.sources`.
         node_cells: Node cells of the mesh.
         spaces: Space of the test and, for a tangent, of the trial field.
 
     Raises:
         ValueError: If the term is restricted to cells whose border runs through node cells or that
-            do not exist, or one of its functions or spaces does not live on all of its cells.
+            do not exist, one of its functions or spaces does not live on all of its cells, or one
+            of its functions at smoothing points has no values in some of them.
     """
 
     def __init__(
         self,
         point_form: PointForm,
-        compiled: Any,
+        compiled: Sequence[Any],
         node_cells: NodeCells,
         spaces: list[fem.FunctionSpace],
     ) -> None:
         self._form = point_form
-        self._compiled = compiled
-        (self._address,) = _compat.kernel_addresses(compiled)
+        self._integrand = _Integrand(point_form, compiled, node_cells)
         self._node_cells = node_cells
-        self.cells = _cells_of(point_form, node_cells)
+        self.cells = cells_of(point_form.subdomain, point_form.subdomain_data, node_cells)
         for f in point_form.coefficients:
-            _check_reach(f.name, f.function_space, self.cells, node_cells)
+            if not is_at_points(f):
+                _check_reach(f.name, f.function_space, self.cells, node_cells)
         for space, kind in zip(spaces, ("test", "trial"), strict=False):
             _check_reach(f"the {kind} function", space, self.cells, node_cells)
+        for f in point_form.fields(is_at_points):
+            missing = 0 if f.cells is None else np.setdiff1d(self.cells, f.cells).size
+            if node_cells.mesh.comm.allreduce(missing):
+                raise ValueError(f"{f.name} has no values in some of the cells of its term")
         self._dofs = [node_cells.block_dofs(space) for space in spaces]
-        self._field_slots = _component_slots(point_form)
         self._positions: npt.NDArray[np.int32] | None = None
         self._row_lengths: npt.NDArray[np.int32] | None = None
         self._position_offsets = np.zeros(self.cells.size + 1, np.int64)
@@ -64,7 +196,7 @@ class SmoothedTerm:
     def pairs(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """Block rows and columns that the term couples, cell by cell, repetitions included."""
         offsets, nodes = self._node_cells.offsets, self._node_cells.nodes
-        test, trial = (_reach(slots) for slots in self._form.arguments)
+        test, trial = (_reaches(slots) for slots in self._form.arguments)
         counts = np.diff(offsets)[self.cells].astype(np.int64)
         n_rows = counts if test else np.ones_like(counts)
         n_columns = counts if trial else np.ones_like(counts)
@@ -92,7 +224,10 @@ class SmoothedTerm:
         """Add the integral of a linear term to a local vector; shape (n_dofs,)."""
         if self.cells.size == 0:
             return
-        kernels.assemble_vector(*self._common(), *_argument(self._form, 0), self._dofs[0], b)
+        variations = self._integrand.patch_vectors(0)
+        kernels.assemble_vector(
+            *self._integrand.arguments(self.cells), *self._argument(0, variations), self._dofs[0], b
+        )
 
     def add_to_matrix(self, values: npt.NDArray[np.float64]) -> None:
         """Add the integral of a bilinear term to the values of a CSR matrix.
@@ -104,66 +239,151 @@ class SmoothedTerm:
             raise RuntimeError("set_positions must be called before add_to_matrix")
         if self.cells.size == 0:
             return
+        second = self._integrand.averages(0, 1)
+        weights = np.zeros((len(self._node_cells), len(second)))
+        by_test = self._integrand.patch_vectors(0)
+        by_trial = by_test if self._same_variations else self._integrand.patch_vectors(1)
         kernels.assemble_matrix(
-            *self._common(),
-            *_argument(self._form, 0),
-            *_argument(self._form, 1),
+            *self._integrand.arguments(self.cells),
+            *self._argument(0, by_test),
+            *self._argument(1, by_trial),
             self._dofs[0],
             self._position_offsets,
+            self._positions,
+            self._row_lengths,
+            weights,
+            values,
+        )
+        for average, weight in zip(second, weights.T, strict=True):
+            self._add_second_variation(average, weight, values)
+
+    def _add_second_variation(
+        self,
+        average: _Integrand,
+        weight: npt.NDArray[np.float64],
+        values: npt.NDArray[np.float64],
+    ) -> None:
+        """Add a second variation of a cell average; its weight has shape (n_cells,)."""
+        cells = self._node_cells
+        used, pairs = self._triangle_pairs
+        on_triangles = np.bincount(
+            cells.triangles,
+            cells.weights * np.repeat(weight, np.diff(cells.triangle_offsets)),
+            cells.vertices.shape[0],
+        )
+        rows, columns = (slots.components for slots in self._form.arguments)
+        kernels.add_second_variations(
+            used,
+            pairs,
+            on_triangles,
+            cells.on_triangles.gradients.reshape(-1, 3, 3, 2)[:, :, 0],
+            average.on_triangles().reshape(-1, rows, 2, columns, 2),
+            cells.vertices,
+            self._dofs[0],
             self._positions,
             self._row_lengths,
             values,
         )
 
-    def _common(self) -> tuple[Any, ...]:
+    @cached_property
+    def _triangle_pairs(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+        """Triangles of the term, and which of `pairs` theirs are; (n,) and (n, 3, 3)."""
         cells = self._node_cells
-        constants = [np.ravel(c.value).astype(np.float64) for c in self._form.constants]
-        return (
-            self._address,
-            np.concatenate(constants) if constants else np.zeros(1),
-            kernels.REFERENCE_TRIANGLE,
-            self.cells,
-            cells.offsets,
-            cells.nodes,
-            cells.gradients,
-            cells.areas,
-            points_per_cell(self._form.enhancement),
-            self._fields(),
-            self._field_slots,
-            self._form.n_coefficients,
+        index = np.full(len(cells), -1)
+        index[self.cells] = np.arange(self.cells.size)
+        owner = np.repeat(np.arange(len(cells)), np.diff(cells.triangle_offsets))
+        entries = np.flatnonzero(index[owner] >= 0)
+        used, first = np.unique(cells.triangles[entries], return_index=True)
+        entries = entries[first]
+        owner = owner[entries]
+        local = cells.corners[entries] - cells.offsets[owner][:, None]
+        counts = np.diff(cells.offsets)[owner].astype(np.int64)
+        start = self._position_offsets[index[owner]]
+        pairs = local[:, :, None] * counts[:, None, None] + local[:, None, :]
+        return used.astype(np.int32), start[:, None, None] + pairs
+
+    @cached_property
+    def _same_variations(self) -> bool:
+        """Whether cell averages vary with test and trial field alike."""
+        test, trial = (self._form.averages.get((number,), []) for number in (0, 1))
+        return len(test) == len(trial) and all(
+            a.form.signature() == b.form.signature()
+            and list(a.coefficients) == list(b.coefficients)
+            and a.constants == b.constants
+            for a, b in zip(test, trial, strict=True)
         )
 
-    def _fields(self) -> npt.NDArray[np.float64]:
-        """Nodal values of all coefficient components; shape (n_vertices, m)."""
-        cells = self._node_cells
-        columns = []
-        for f in self._form.coefficients:
-            if f.function_space.element.basix_element.degree:
-                columns.append(cells.nodal_values(f))
-            else:
-                # Only owned nodes have a cell, and only their own value is read.
-                means = np.zeros((cells.points.shape[0], f.function_space.dofmap.bs))
-                means[: len(cells)] = cells.cell_means(f)
-                columns.append(means)
-        if self._form.position is not None:
-            columns.append(cells.points)
-        return np.hstack(columns) if columns else np.zeros((cells.points.shape[0], 0))
+    def _argument(self, number: int, variations: npt.NDArray[np.float64]) -> tuple[Any, ...]:
+        slots = self._form.arguments[number]
+        numbers = (slots.value, slots.gradient, slots.divergence, slots.average, slots.pair)
+        return (
+            (0,) * slots.components,
+            np.array(numbers),
+            variations,
+            self._form.argument_sizes[number],
+        )
 
 
-def _argument(form: PointForm, number: int) -> tuple[tuple[int, ...], npt.NDArray[Any], int]:
-    slots = form.arguments[number]
-    numbers = np.array([slots.value, slots.gradient, slots.divergence])
-    return (0,) * slots.components, numbers, form.argument_sizes[number]
+class PointExpression:
+    """Scalar expressions, compiled to be evaluated at smoothing points. Collective.
+
+    Args:
+        expressions: UFL scalars: P1 fields and their smoothed gradients, data constant on
+            triangles, constants, functions at the points, coordinates (of the node).
+        node_cells: Node cells of the mesh.
+        measure: Measure over node cells: the enhancement, and where.
+
+    Attributes:
+        cells: Cells of the points, in ascending order.
+
+    Raises:
+        ValueError: If the expressions hold what has no meaning there.
+    """
+
+    def __init__(
+        self, expressions: Sequence[Expr], node_cells: NodeCells, measure: ufl.Measure = dc
+    ) -> None:
+        form = point_expression(expressions, measure)
+        compiled = _compat.compile_forms(node_cells.mesh.comm, form.sources)
+        self._integrand = _Integrand(form, compiled, node_cells)
+        self.cells = cells_of(form.subdomain, form.subdomain_data, node_cells)
+
+    def evaluate(self) -> npt.NDArray[np.float64]:
+        """Return the values; shape (cells.size, n_points, number of expressions)."""
+        return self._integrand.evaluate(self.cells)
 
 
-def _reach(slots: FieldSlots) -> bool:
+def evaluate_at_points(
+    expression: Expr, node_cells: NodeCells, measure: ufl.Measure = dc
+) -> npt.NDArray[np.float64]:
+    """Evaluate an expression at the smoothing points. Collective.
+
+    Args:
+        expression: UFL scalar, vector or tensor, as in `PointExpression`.
+        node_cells: Node cells of the mesh.
+        measure: Measure over node cells: the enhancement, and where.
+
+    Returns:
+        Values; shape (cells, n_points, *shape of the expression). The cells are those of the nodes
+        that this rank owns, or of them those where the measure is.
+
+    Raises:
+        ValueError: If the expression holds what has no meaning there.
+    """
+    shape = expression.ufl_shape
+    parts = [expression[i] for i in np.ndindex(*shape)] if shape else [expression]
+    values = PointExpression(parts, node_cells, measure).evaluate()
+    return values.reshape(*values.shape[:2], *shape)
+
+
+def _reaches(slots: FieldSlots) -> bool:
     """Whether a field couples beyond the cell's own node."""
-    return slots.gradient >= 0
+    return slots.gradient >= 0 or slots.n_averages > 0 or slots.n_pairs > 0
 
 
 def _component_slots(form: PointForm) -> npt.NDArray[np.int64]:
-    """Slots of each coefficient component: value, gradient, mean divergence and its axis."""
-    fields = [*form.coefficients.values(), *([form.position] if form.position else [])]
+    """Slots of each nodal component: value, gradient, mean divergence and its axis."""
+    fields = [form.coefficients[f] for f in form.fields(is_nodal)]
     rows = [
         (
             slots.value + a if slots.value >= 0 else slots.value,
@@ -171,27 +391,36 @@ def _component_slots(form: PointForm) -> npt.NDArray[np.int64]:
             slots.divergence,
             a if slots.divergence >= 0 else 0,
         )
-        for slots in fields
+        for slots in [*fields, *([form.position] if form.position else [])]
         for a in range(slots.components)
     ]
     return np.array(rows, np.int64).reshape(-1, 4)
 
 
-def _cells_of(form: PointForm, node_cells: NodeCells) -> npt.NDArray[np.int32]:
-    """Node cells that a term is integrated over."""
+def cells_of(subdomain: tuple[int, ...], tags: Any, node_cells: NodeCells) -> npt.NDArray[np.int32]:
+    """Node cells of a subdomain, in ascending order. Collective.
+
+    Args:
+        subdomain: Ids of cells; empty for everywhere.
+        tags: Tags of cells.
+        node_cells: Node cells of the mesh.
+
+    Raises:
+        ValueError: If the term is restricted to cells whose border runs through node cells or that
+            do not exist.
+    """
     everywhere = np.arange(len(node_cells), dtype=np.int32)
-    if not form.subdomain:
+    if not subdomain:
         return everywhere
-    tags = form.subdomain_data
-    ids = form.subdomain[0] if len(form.subdomain) == 1 else form.subdomain
+    ids = subdomain[0] if len(subdomain) == 1 else subdomain
     if getattr(tags, "dim", None) != 2:
         raise ValueError(f"dc({ids}) needs subdomain_data with tags of cells")
     _compat.check_tags(tags, node_cells.mesh)
-    tagged = node_cells.mesh.comm.allreduce(int(np.isin(tags.values, form.subdomain).sum()))
+    tagged = node_cells.mesh.comm.allreduce(int(np.isin(tags.values, subdomain).sum()))
     if not tagged:
         raise ValueError(f"dc({ids}): no cell has such a tag")
     marks = la.vector(node_cells.mesh.topology.index_map(2), 1, dtype=np.float64)
-    marks.array[tags.indices[np.isin(tags.values, form.subdomain)]] = 1.0
+    marks.array[tags.indices[np.isin(tags.values, subdomain)]] = 1.0
     # Tags may name owned triangles alone.
     marks.scatter_forward()
     some = _around(node_cells, marks.array > 0.0, np.logical_or)
@@ -205,16 +434,21 @@ def _cells_of(form: PointForm, node_cells: NodeCells) -> npt.NDArray[np.int32]:
     return everywhere[some]
 
 
-def _check_reach(
-    name: str, space: fem.FunctionSpace, cells: npt.NDArray[np.int32], node_cells: NodeCells
-) -> None:
-    """Refuse a term whose function lives on a submesh that lacks triangles of the term's cells."""
+def _check_mesh(name: str, mesh: Mesh, node_cells: NodeCells) -> npt.NDArray[np.int32]:
+    """Triangles of another mesh that those of the node cells are, -1 where none."""
     try:
-        missing = node_cells.cells_on(space.mesh) < 0
+        return node_cells.cells_on(mesh)
     except ValueError:
         raise ValueError(
             f"a term on dc: {name} lives on another mesh, and no entity map says what part it is"
         ) from None
+
+
+def _check_reach(
+    name: str, space: fem.FunctionSpace, cells: npt.NDArray[np.int32], node_cells: NodeCells
+) -> None:
+    """Refuse a term whose function lives on a submesh that lacks triangles of the term's cells."""
+    missing = _check_mesh(name, space.mesh, node_cells) < 0
     comm = node_cells.mesh.comm
     outside = comm.allreduce(int(_around(node_cells, missing, np.logical_or)[cells].sum()))
     if not outside:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,14 +27,15 @@ class NodeCells:
         offsets: Where each cell's patch begins in ``nodes``; shape (n_cells + 1,).
         nodes: Vertices of the triangles around each node, the node itself first.
         gradients: For each entry of ``nodes`` the mean gradient of its shape function over the
-            cell [1/m] and the derivatives of the gradient along x and y [1/m^2] (Eqs. 31, 35);
-            shape (entries, 3, 2).
+            cell [1/m] and the derivatives of the gradient along the cell's axes [1/m^2] (Eqs. 31,
+            35); shape (entries, 3, 2).
         areas: Cell areas A_c [m^2] (Eq. 32); shape (n_cells,).
         triangle_offsets: Where each cell's triangles begin in ``triangles``; shape (n_cells + 1,).
         triangles: Triangles around each node.
         weights: Their smoothing coefficients alpha_I (Eq. 32); sum 1 over each cell.
         vertices: Vertices of each local triangle; shape (n_triangles, 3).
         points: Coordinates of the vertices [m]; shape (n_vertices, 2).
+        angles: Angles of the cells' axes to x and y, counterclockwise [rad]; shape (n_cells,).
         entity_maps: Maps to submeshes that functions may live on.
     """
 
@@ -47,11 +49,51 @@ class NodeCells:
     weights: npt.NDArray[np.float64]
     vertices: npt.NDArray[np.int32]
     points: npt.NDArray[np.float64]
-    entity_maps: Sequence[Any] = ()
+    angles: npt.NDArray[np.float64]
+    entity_maps: list[Any]
 
     def __len__(self) -> int:
         """Return the number of node cells on this rank."""
         return self.areas.size
+
+    @cached_property
+    def corners(self) -> npt.NDArray[np.int32]:
+        """Entry of ``nodes`` of each vertex of ``triangles``; shape (triangles.size, 3)."""
+        topology = self.vertices, self.triangle_offsets, self.triangles, self.offsets, self.nodes
+        return kernels.patch_corners(*topology, self.points.shape[0])
+
+    @cached_property
+    def on_triangles(self) -> NodeCells:
+        """The triangles as cells of their own: patches of three nodes, no second gradient."""
+        n = self.vertices.shape[0]
+        own = np.arange(n + 1, dtype=np.int32)
+        gradients = np.zeros((n, 3, 3, 2))
+        gradients[:, :, 0] = kernels.triangle_gradients(self.vertices, self.points)
+        return replace(
+            self,
+            offsets=3 * own,
+            nodes=self.vertices.ravel(),
+            gradients=gradients.reshape(-1, 3, 2),
+            areas=np.ones(n),
+            triangle_offsets=own,
+            triangles=own[:-1],
+            weights=np.ones(n),
+            angles=np.zeros(n),
+        )
+
+    def follow(self) -> None:
+        """Take over where the nodes of the mesh are now, on axes turned by ``angles``."""
+        self.points[self.vertices.ravel()] = _corner_points(self.mesh)
+        around = self.mesh.topology.connectivity(0, 2)
+        self.areas[:], self.gradients[:] = kernels.smoothed_gradients(
+            self.vertices, self.points, around.offsets, around.array, self.offsets, self.nodes
+        )
+        kernels.turn_axes(self.gradients, self.offsets, self.angles)
+        thirds = _areas(self.points[self.vertices]) / 3.0
+        self.weights[:] = thirds[self.triangles] / np.repeat(
+            self.areas, np.diff(self.triangle_offsets)
+        )
+        self.__dict__.pop("on_triangles", None)
 
     def block_dofs(self, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
         """Block dof of each local vertex in a continuous P1 space; shape (n_vertices,).
@@ -87,7 +129,11 @@ class NodeCells:
         """
         dofmap, cells = function.function_space.dofmap, self.cells_on(function.function_space.mesh)
         by_cell = function.x.array.reshape(-1, dofmap.bs)[dofmap.list[:, 0]]
-        weighted = self.weights[:, None] * _rows(by_cell, cells[self.triangles])
+        return self.means(_rows(by_cell, cells))
+
+    def means(self, on_triangles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Means over the cells of values on all triangles; shape (n_cells, components)."""
+        weighted = self.weights[:, None] * on_triangles[self.triangles]
         return np.add.reduceat(weighted, self.triangle_offsets[:-1], axis=0)
 
     def gradient(
@@ -101,7 +147,8 @@ class NodeCells:
 
         Returns:
             Gradients; shape (n_cells, 4, components, 2), one point a cell where the enhancement
-            is ``"none"``. The points lie at -r_c and r_c along x, then along y (Eq. 38).
+            is ``"none"``. The points lie at -r_c and r_c along the cell's first axis, then along
+            the second (Eq. 38).
         """
         values = self.nodal_values(function)
         n_points = points_per_cell(enhancement)
@@ -154,35 +201,39 @@ def create_node_cells(mesh: Mesh, entity_maps: Sequence[Any] = ()) -> NodeCells:
     n_vertices = n_owned + vertex_map.num_ghosts
     vertices = topology.connectivity(2, 0).array.reshape(-1, 3)
     around = topology.connectivity(0, 2)
-    points = np.empty((n_vertices, 2))
-    points[vertices.ravel()] = mesh.geometry.x[_compat.cell_nodes(mesh).ravel(), :2]
-
     _check_complete(mesh, vertices, around.offsets)
     offsets, nodes = kernels.patch_nodes(
         vertices, around.offsets, around.array, n_owned, n_vertices
     )
-    areas, gradients = kernels.smoothed_gradients(
-        vertices, points, around.offsets, around.array, offsets, nodes
-    )
     triangle_offsets = around.offsets[: n_owned + 1].copy()
     triangles = around.array[: triangle_offsets[-1]].copy()
-    corner = points[vertices[triangles]]
-    edge, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    thirds = np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]) / 6.0
-    weights = thirds / np.repeat(areas, np.diff(triangle_offsets))
-    return NodeCells(
+    node_cells = NodeCells(
         mesh,
         offsets,
         nodes,
-        gradients,
-        areas,
+        np.empty((nodes.size, 3, 2)),
+        np.empty(n_owned),
         triangle_offsets,
         triangles,
-        weights,
+        np.empty(triangles.size),
         vertices,
-        points,
-        tuple(entity_maps),
+        np.empty((n_vertices, 2)),
+        np.zeros(n_owned),
+        list(entity_maps),
     )
+    node_cells.follow()
+    return node_cells
+
+
+def _corner_points(mesh: Mesh) -> npt.NDArray[np.float64]:
+    """Coordinates of the vertices of all triangles [m]; shape (3 * n_triangles, 2)."""
+    return mesh.geometry.x[_compat.cell_nodes(mesh).ravel(), :2]
+
+
+def _areas(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Areas of triangles [m^2] from their corners; shape (n, 3, 2)."""
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
 
 
 def _check_complete(

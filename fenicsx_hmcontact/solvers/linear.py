@@ -37,6 +37,10 @@ class SingularSystemError(RuntimeError):
     """The linear system has no unique solution: something moves freely, or a pressure is unset."""
 
 
+class LinearSolverError(RuntimeError):
+    """The linear solver did not get to a solution: it does not converge, or entries are nan."""
+
+
 class LinearSolver:
     """Matrix in coordinate form with a fixed pattern, scaled symmetrically before it is solved.
 
@@ -104,7 +108,8 @@ class LinearSolver:
 
         Raises:
             SingularSystemError: If the system is singular, to working precision or exactly.
-            RuntimeError: If the solver fails.
+            LinearSolverError: If the solver fails.
+            RuntimeError: If the solver cannot be used here.
             ValueError: If an option is none of the solver's.
         """
         self._b.array[:] = self.scale * b
@@ -123,7 +128,9 @@ class LinearSolver:
             )
         size = self._x.norm()
         if reason < 0 or not np.isfinite(size):
-            raise RuntimeError(f"the linear system could not be solved (PETSc reason {reason})")
+            raise LinearSolverError(
+                f"the linear system could not be solved (PETSc reason {reason})"
+            )
         if size > MAX_GROWTH * self._b.norm() > 0.0:
             raise SingularSystemError(
                 "the linear system is singular to working precision: a body has no support, or a "

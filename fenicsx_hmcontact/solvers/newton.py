@@ -40,7 +40,8 @@ class ConvergenceError(RuntimeError):
     """Newton's method did not converge.
 
     Attributes:
-        history: Largest scaled residual relative to the increment, after each iteration.
+        history: Largest scaled residual relative to the increment, after each iteration; nan where
+            that is not a number. Empty if the step fails before its first iteration.
     """
 
     def __init__(self, message: str, history: list[float]) -> None:
@@ -185,7 +186,7 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
         try:
             part = _take(system, before, system.reach if guarded else 1.0)
         except FloatingPointError as error:
-            raise ConvergenceError(str(error), worst) from error
+            raise ConvergenceError(str(error), [*worst, np.nan]) from error
         size, state = system.scaled_norms()
         residuals = system.scaled_residuals()
         result.history.append([r / size if size > 0.0 else r for r in residuals])
@@ -280,6 +281,14 @@ def _take(system: System, before: float, part: float) -> float:
     return best
 
 
+def contact_counts(contacts: dict[str, dict[str, int]]) -> str:
+    """Words for the number of nodes in each state, by pair."""
+    return "; ".join(
+        f"{pair}: " + ", ".join(f"{n} {state}" for state, n in states.items())
+        for pair, states in contacts.items()
+    )
+
+
 class _Line:
     """One line about an iteration, written only where somebody reads it."""
 
@@ -291,9 +300,6 @@ class _Line:
         residuals = ", ".join(
             f"{n} {r:.1e}" for n, r in zip(self._names, result.history[-1], strict=True)
         )
-        counts = "; ".join(
-            f"{pair}: " + ", ".join(f"{n} {state}" for state, n in states.items())
-            for pair, states in result.contacts[-1].items()
-        )
+        counts = contact_counts(result.contacts[-1])
         damped = f", {result.lengths[-1]:.3g} of the increment" if result.lengths[-1] < 1.0 else ""
         return f"iteration {result.iterations}: {residuals}{damped}; {counts}".rstrip("; ")

@@ -66,6 +66,24 @@ def test_stress_is_that_of_the_energy(comm):
     assert np.allclose(by_stress, by_energy, rtol=0, atol=1e-13 * STEEL.E)
 
 
+def test_update_adds_the_stress_of_the_strain_increment():
+    """As a material: moduli by strain, nothing forgotten, sigma_zz carried."""
+    rng = np.random.default_rng(0)
+    stress, strain = 1e6 * rng.normal(size=(50, 4)), 1e-3 * rng.normal(size=(50, 3))
+    assert isinstance(STEEL, hm.Material) and STEEL.history_names == ()
+    update = STEEL.update(stress, strain, STEEL.initial_history(50))
+    e, nu = STEEL.E, STEEL.nu
+    # Strains back from the stresses by the compliance: e_zz vanishes.
+    change = update.stress - stress
+    trace = change[:, :3].sum(axis=1)
+    back = (1.0 + nu) / e * change - nu / e * trace[:, None] * [1.0, 1.0, 1.0, 0.0]
+    wanted = strain @ np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0.5]])
+    assert np.abs(back - wanted).max() < 1e-14
+    assert np.allclose(np.einsum("nij,nj->ni", update.by_strain, strain), change, rtol=1e-9)
+    assert (update.by_stress == np.eye(4)).all() and update.history.shape == (50, 0)
+    assert update.flagged is None
+
+
 def test_values_out_of_range_are_refused():
     for e in (0.0, -1.0, float("nan")):
         with pytest.raises(ValueError, match=f"E is {e}; Young's modulus must be positive"):

@@ -82,20 +82,20 @@ def tag_cells(mesh, values):
     return meshtags(mesh, 2, cells, values[original].astype(np.int32))
 
 
-def smoothed_terms(form):
+def smoothed_terms(form, node_cells=None):
     """Compile a form and bind it to the node cells of its mesh."""
     spaces = [argument.ufl_function_space() for argument in form.arguments()]
     mesh = spaces[0].mesh
     forms = point_forms(form)
-    compiled = _compat.compile_forms(mesh.comm, [f.form for f in forms])
-    cells = create_node_cells(mesh)
-    terms = [SmoothedTerm(f, c, cells, spaces) for f, c in zip(forms, compiled, strict=True)]
+    compiled = iter(_compat.compile_forms(mesh.comm, [s for f in forms for s in f.sources]))
+    cells = node_cells or create_node_cells(mesh)
+    terms = [SmoothedTerm(f, [next(compiled) for _ in f.sources], cells, spaces) for f in forms]
     return terms, spaces
 
 
-def assemble(form):
+def assemble(form, node_cells=None):
     """Global vector or dense matrix of a smoothed form in the input's numbering, on all ranks."""
-    terms, spaces = smoothed_terms(form)
+    terms, spaces = smoothed_terms(form, node_cells)
     return add_up(terms, spaces)
 
 

@@ -53,7 +53,9 @@ def test_tensor_is_cleared_before_the_kernel_adds_to_it():
     (compiled,) = _compat.compile_forms(MPI.COMM_SELF, [(3.0 * v[0] - v[1]) * ufl.dx])
     (address,) = _compat.kernel_addresses(compiled)
     tensor = np.full(2, 7.0)
-    kernels._evaluate(address, tensor, np.zeros(1), np.zeros(1), kernels.REFERENCE_TRIANGLE)
+    none = np.zeros(1)
+    arrays = (tensor, none, none, kernels.REFERENCE_TRIANGLE)
+    kernels._evaluate(address, tensor, tuple(a.ctypes.data for a in arrays))
     # The reference triangle has the area 1/2.
     assert np.allclose(tensor, [1.5, -0.5], rtol=1e-15)
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from fenicsx_hmcontact._compat import cell_nodes
+from meshes.block import block
 from meshes.cooks_membrane import cooks_membrane
 from meshes.hertz import hertz
 from meshes.patch import patch_blocks
@@ -41,6 +42,19 @@ def ends(domain, name):
 
 def length(domain, name):
     return np.linalg.norm(np.diff(ends(domain, name), axis=1), axis=2).sum()
+
+
+@pytest.mark.parametrize("unstructured", [False, True])
+def test_block_fills_its_rectangle(unstructured):
+    domain = block(COMM, width=2.0, height=0.5, across=6, rows=3, unstructured=unstructured)
+    assert area(domain, "block") == pytest.approx(1.0, rel=1e-13)
+    assert [length(domain, name) for name in ("bottom", "left")] == pytest.approx([2.0, 0.5])
+    nodes = np.unique(corners(domain, "block").reshape(-1, 2).round(12), axis=0)
+    assert nodes.min(axis=0) == pytest.approx([0.0, 0.0]) and nodes.max() == 2.0
+    if not unstructured:
+        assert len(nodes) == 7 * 4
+    with pytest.raises(ValueError, match="rows must be positive"):
+        block(COMM, rows=0)
 
 
 def test_rows_of_the_blocks_are_horizontal():

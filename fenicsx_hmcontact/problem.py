@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
@@ -34,6 +36,9 @@ from .solvers import (
     solve_newton,
 )
 from .solvers.condition import condition_number
+
+RUNAWAY = 10.0
+"""Strain in a step that is none: beside such a change any residual of bounded forces is small."""
 
 
 class ContactProblem:
@@ -536,8 +541,12 @@ class ContactProblem:
             raise FloatingPointError(message)
 
     def _check_materials(self, history: list[float]) -> None:
-        """Refuse a step that ends with points where a material has no solution. Collective."""
+        """Refuse a step that ends where a material has no solution, or runs away. Collective."""
         for stress in self._stresses:
+            strained = self.comm.allreduce(stress.strained, MPI.MAX)
+            if strained > RUNAWAY:
+                message = f"nothing resists: {stress.name} would be strained by {strained:.1e}"
+                raise ConvergenceError(message, history)
             flagged = self.comm.allreduce(int(stress.end.flagged.sum()))
             if flagged:
                 raise ConvergenceError(

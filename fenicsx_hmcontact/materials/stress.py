@@ -76,6 +76,7 @@ class MaterialStress:
         measure: Measure of terms with the stress; has the degree of the points where it is ``dx``.
         start: State at the start of the step.
         end: State at the end of the step, as of the last residual.
+        strained: Largest increment of strain or spin on this rank in it [-].
 
     Raises:
         ValueError: If kinematics and measure do not go together.
@@ -205,6 +206,7 @@ class MaterialStress:
         increments = self._evaluate()
         if not np.all(np.isfinite(increments)):
             raise FloatingPointError(f"the strain increments of {self.name} are not numbers")
+        self.strained = float(np.abs(increments).max(initial=0.0))
         strain, start = increments[:, :3], self.start
         if not self.finite:
             result = self.material.update(start.stress, strain, start.history)

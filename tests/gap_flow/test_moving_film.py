@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The film between surfaces that move: its tangent, its laws, and water carried along."""
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 import ufl
@@ -41,7 +43,8 @@ def soft_blocks(comm, flow, *, held=False, motion="finite"):
 @pytest.mark.parametrize(
     ("held", "motion"), [((), "finite"), (("u", "p"), "finite"), ((), "small")]
 )
-def test_the_tangent_follows_the_film(comm, sets, options, held, motion):
+def test_the_tangent_follows_the_film(sets, options, held, motion):
+    comm = MPI.COMM_SELF
     flow = hm.GapFlow(1e-3, viscosity=1e-3, unit_weight=50.0, **options)
     problem = soft_blocks(comm, flow, held=held, motion=motion)
     u, p = problem.unknowns

@@ -387,3 +387,12 @@ def test_used_terms_keep_their_tangent_linear():
     plain += ELASTIC.stress(u)[0, 1] * ufl.grad(v)[0, 1] * hm.dc
     ours, expected = (add_up(*smoothed_terms(f)) for f in (form, plain))
     assert np.allclose(ours, expected, rtol=0, atol=1e-14 * abs(expected).max())
+
+
+def test_a_step_that_runs_away_has_not_converged():
+    """Residuals are measured by the change in the step: beside an endless one any is small."""
+    body = Body(ELASTIC)
+    body.push(0.0, 100.0)
+    with pytest.raises(hm.ConvergenceError, match="nothing resists: stress would be strained by"):
+        body.problem.solve()
+    assert np.all(body.u.x.array == 0.0)

@@ -77,13 +77,6 @@ def test_goes_on_until_the_sets_are_settled(comm):
     assert solve_newton(system, NewtonOptions()).iterations == 4
 
 
-def test_a_step_that_runs_away_has_not_converged(comm):
-    # The force stays below the load: no root, and the residual is small beside the change.
-    system = Scalar(comm, lambda x: np.tanh(x) - 1.01, lambda x: max(np.cosh(x), 1.0) ** -2, 0.5)
-    with pytest.raises(ConvergenceError, match="nothing resists"):
-        solve_newton(system, NewtonOptions())
-
-
 def test_tolerance_decides_when_to_stop(comm):
     counts = []
     for tolerance in (1e-2, 1e-6, 1e-10):

@@ -20,6 +20,9 @@ from .solvers import FieldLayout
 Float = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
+NO_GAP = 4.0 * float(np.finfo(np.float64).eps)
+"""Gap that is but round-off, relative to the coordinates: its leakage would swamp the matrix."""
+
 
 class SlidingWater:
     """Pore water of a sliding pair. Its data are the same on all ranks.
@@ -152,7 +155,8 @@ class SlidingWater:
             diagonal: Local array of the diagonal of the tangent.
         """
         kinematics, water, first = self._kinematics, self.pressure, self._displacements.size
-        closed = self._beside_closed(closed)
+        size = max(float(np.abs(points).max()) for points in kinematics.points)
+        closed = self._beside_closed(closed) | (kinematics.aperture() <= NO_GAP * size)
         film = MovingFilm(self._flow, kinematics, water, closed, self._before, self._time_step())
         self.film = film
         d, d_p = kinematics.derivatives, kinematics.pressure_derivatives

@@ -73,3 +73,18 @@ def test_the_tangent_follows_the_film(sets, options, held, motion):
             difference += sign * problem._condensed * scale / (2.0 * h)
         error = (difference - A @ direction)[free]
         assert largest(error, comm) < 1e-6 * largest((A @ direction)[free], comm)
+
+
+@pytest.mark.parametrize("motion", ["finite", "small"])
+def test_a_gap_of_round_off_leaves_the_matrix_as_it_is(motion):
+    """Pressures of the iterations differ across it, and leakage grows without bound."""
+    problem = soft_blocks(MPI.COMM_SELF, hm.GapFlow(1e-3, unit_weight=50.0), motion=motion)
+    coupling, p = problem._sliding[0], problem.unknowns[1]
+    p.x.array[:] = np.random.default_rng(1).normal(size=p.x.array.size) * 3.0
+    n = len(coupling.status.closed)
+    coupling.status = ContactStatus.open(n)
+    # Nothing of this is a gap.
+    coupling.kinematics.aperture = lambda: np.resize([1e-20, -1e-19, 1e-17, 3e-18], n)
+    problem.residual()
+    problem._update_tangent()
+    assert np.abs(dense(problem._linear.matrix, problem.comm)).max() < 1e2

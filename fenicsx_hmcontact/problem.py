@@ -19,7 +19,7 @@ from .condensed import CondensedMatrix
 from .contact import Condensation, ContactPair, Dependence, InterfaceState, Tied
 from .coupling import Coupling
 from .diagnosis import free_motions
-from .domain import Domain
+from .domain import Domain, NodalState, function_state, set_function
 from .free_water import FreeWater
 from .materials import MaterialStress
 from .model import CompiledBlock, CompiledModel, compile_model, integration_mesh
@@ -123,9 +123,8 @@ class ContactProblem:
         self._raw = np.zeros(self.layout.n_local)
         self._diagonal = np.ones(self.layout.n_local)
         self._condensed = np.zeros(self.layout.n_local)
-        self._system = CondensedMatrix(
-            self.layout, self._matrix, self.condensation, self._constrained, petsc_options
-        )
+        self._petsc_options = petsc_options
+        self._system = self._new_system()
         self._moved = False
         self._tangent_inputs: list[npt.NDArray[np.float64]] | None = None
 
@@ -153,12 +152,8 @@ class ContactProblem:
             u.x.scatter_forward()
         state = self.save()
         self._start = self._current()
-        self._moved = False
-        for coupling in self._sliding:
-            coupling.reset()
         try:
-            result = self._iterate()
-            self._check_materials([max(residuals) for residuals in result.history])
+            result = self._attempt(state)
         except Exception:
             self.restore(state)
             raise
@@ -220,6 +215,68 @@ class ContactProblem:
             if self.node_cells is not None:
                 self.node_cells.angles[:] = angles
             self._place_mesh(points)
+
+    def integrals(self) -> dict[str, tuple[float, float]]:
+        """Integrals of all histories of materials, as `MaterialStress.integrals`. Collective."""
+        return {
+            f"{stress.name} {name}": pair
+            for stress in self._stresses
+            for name, pair in stress.integrals().items()
+        }
+
+    def nodal_state(self) -> dict[str, NodalState]:
+        """What fields, materials and pairs hold between two steps, by nodes. Collective.
+
+        It is all that the next step starts from, with the place of the mesh.
+
+        Raises:
+            ValueError: If a field is not P1, or a material lives on triangles.
+        """
+        states = {
+            f"field {name}": function_state(u)
+            for name, u in zip(self.field_names, self.unknowns, strict=True)
+        }
+        for i, stress in enumerate(self._stresses):
+            states[f"material {i}"] = stress.nodal_state()
+        if self.node_cells is not None:
+            angles = {"angle": self.node_cells.angles.copy()}
+            states["axes"] = NodalState(self.node_cells.input_nodes, angles)
+        for i, coupling in enumerate(self._sliding):
+            sides = zip(("secondary", "primary"), coupling.nodal_states(), strict=True)
+            states |= {f"pair {i} {side}": state for side, state in sides}
+        return states
+
+    def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
+        """Start from what `nodal_state` returned, on this mesh or another. Collective.
+
+        What does not change the answer but its last digits, as the order of elimination, begins
+        anew: two problems with the same state go on alike to the last bit.
+
+        Args:
+            states: The states at the nodes of this mesh, which stands at the start of a step.
+        """
+        for name, u in zip(self.field_names, self.unknowns, strict=True):
+            set_function(u, states[f"field {name}"])
+        for i, stress in enumerate(self._stresses):
+            stress.set_nodal_state(states[f"material {i}"])
+        if self.node_cells is not None:
+            self.node_cells.angles[:] = states["axes"].nodal["angle"]
+            self.node_cells.follow()
+        current = self._current()
+        for i, coupling in enumerate(self._sliding):
+            secondary, primary = (states[f"pair {i} {side}"] for side in ("secondary", "primary"))
+            coupling.set_nodal_states(secondary, primary, current)
+        self._place(current)
+        self._tangent_inputs = None
+        self._system = self._new_system()
+
+    def gap_volumes(self) -> dict[str, float]:
+        """Volume of the gap of each sliding pair with water, at the start of the step [m^3/m]."""
+        return {
+            coupling.pair.name: coupling.water.volume
+            for coupling in self._sliding
+            if coupling.water is not None
+        }
 
     @property
     def settled(self) -> bool:
@@ -339,6 +396,11 @@ class ContactProblem:
             )
 
     # --- building ---------------------------------------------------------------------------
+
+    def _new_system(self) -> CondensedMatrix:
+        """The matrix that is solved with, not laid out yet."""
+        matrices = self._matrix, self.condensation
+        return CondensedMatrix(self.layout, *matrices, self._constrained, self._petsc_options)
 
     def _bind(self, model: CompiledModel, successor: Callable[[Any], Any]) -> None:
         """Give the compiled forms the mesh and data of the unknowns."""
@@ -553,10 +615,27 @@ class ContactProblem:
                     f"{flagged} points of {stress.name}: {stress.end.reason}", history
                 )
 
+    def _attempt(self, state: Any) -> NewtonResult:
+        """Solve from the tangents of the last step, or from elastic ones where those mislead."""
+        try:
+            return self._iterate()
+        except (ConvergenceError, SingularSystemError):
+            if not any(stress.start.by_law for stress in self._stresses):
+                raise
+        self.restore(state)
+        for stress in self._stresses:
+            stress.begin_elastic()
+        return self._iterate()
+
     def _iterate(self) -> NewtonResult:
         """Solve by Newton's method; a system that stays singular names what is free."""
+        self._moved = False
+        for coupling in self._sliding:
+            coupling.reset()
         try:
-            return solve_newton(self, self.newton)
+            result = solve_newton(self, self.newton)
+            self._check_materials([max(residuals) for residuals in result.history])
+            return result
         except SingularSystemError as error:
             motions = free_motions(self, self._domain)
             raise SingularSystemError("; ".join(motions) or str(error)) from error

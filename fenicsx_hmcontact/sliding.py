@@ -31,6 +31,8 @@ from .contact import (
     tangential_law,
     turned,
 )
+from .contact.kinematics import HALF
+from .domain import NodalState
 from .gap_flow import GapPressure
 from .sliding_water import SlidingWater, placed
 from .solvers import FieldLayout
@@ -254,6 +256,41 @@ class SlidingCoupling:
         self.kinematics.restore(kinematics)
         if self.water is not None:
             self.water.restore(water)
+        self.reset()
+
+    def nodal_states(self) -> tuple[NodalState, NodalState]:
+        """What the pair holds at the nodes of its surfaces at the start of a step."""
+        secondary, primary = self.kinematics.nodal_states()
+        status = self._committed
+        secondary |= {
+            "closed": status.closed.astype(float),
+            "slipping": status.slipping.astype(float),
+            "direction": status.direction,
+            "last slip": self._last_slip,
+        }
+        values = {"origin": self.kinematics.origin.tolist()}
+        if self.water is not None:
+            values |= self.water.values()
+        nodes = [surface.input_nodes for surface in self._surfaces]
+        return NodalState(nodes[0], secondary, values), NodalState(nodes[1], primary)
+
+    def set_nodal_states(self, secondary: NodalState, primary: NodalState, current: Float) -> None:
+        """Start a step from what `nodal_states` returned, here or on another mesh. Collective.
+
+        Args:
+            secondary: Of the secondary nodes.
+            primary: Of the primary nodes.
+            current: Local array of the unknowns; `place` is to follow.
+        """
+        nodal, values = secondary.nodal, secondary.values
+        origin, displacements = np.array(values["origin"]), self._displacements(current)
+        self.kinematics.set_nodal_states((nodal, primary.nodal), origin, displacements)
+        closed, slipping = (nodal[name] > HALF for name in ("closed", "slipping"))
+        direction = np.where(nodal["direction"] < 0.0, -1.0, 1.0)
+        self._committed = ContactStatus(closed, slipping & closed, direction)
+        self._last_slip = nodal["last slip"]
+        if self.water is not None:
+            self.water.set_values(values)
         self.reset()
 
     def place(self, current: Float) -> None:

@@ -49,6 +49,7 @@ class SlidingWater:
         covered: Nodes with a pore pressure that the other surface faces; shape (n_p,).
         ends: Those of them that free water wets as ends of the gap; shape (n_p,).
         film: The film between them; None before water flows.
+        volume: Volume of the gap at the start of the step [m^3/m].
         taken_up: Water that the gap took from the bodies in the last step [m^3/m].
         swept: Water that came into or left it at its ends, with surfaces that move [m^3/m].
 
@@ -102,7 +103,7 @@ class SlidingWater:
         self.meeting = self._taken.copy()
         self.outside = self._flow.outside
         self.free_ends = np.full(len(surfaces[0].nodes), self.outside is not None and wet[0])
-        self._before, self._volume = self._covered_gap(), self._gap_volume()
+        self._before, self.volume = self._covered_gap(), self._gap_volume()
         self.film: MovingFilm | None = None
         self.taken_up = self.swept = 0.0
 
@@ -188,19 +189,28 @@ class SlidingWater:
 
     def commit(self) -> None:
         """Take the current state as the start of the next step."""
-        before, self._volume = self._volume, self._gap_volume()
+        before, self.volume = self.volume, self._gap_volume()
         assert self.film is not None
         self.taken_up = float(self.film.volumes.sum())
-        self.swept = self._volume - before - self.taken_up
+        self.swept = self.volume - before - self.taken_up
         self._before = self._covered_gap()
 
     def save(self) -> Any:
         """What the start of the step leaves to it; its arrays are never written to."""
-        return self._before, self._volume, self.taken_up, self.swept
+        return self._before, self.volume, self.taken_up, self.swept
 
     def restore(self, state: Any) -> None:
         """Go back to a saved start of a step."""
-        self._before, self._volume, self.taken_up, self.swept = state
+        self._before, self.volume, self.taken_up, self.swept = state
+
+    def values(self) -> dict[str, float]:
+        """Water of the gap at the start of a step [m^3/m]."""
+        return {"taken up": self.taken_up, "swept": self.swept}
+
+    def set_values(self, values: dict[str, float]) -> None:
+        """Start a step where the surfaces are; the water of the gap is what it holds there."""
+        self.taken_up, self.swept = values["taken up"], values["swept"]
+        self._before, self.volume = self._covered_gap(), self._gap_volume()
 
     def free_pressure(self) -> Float:
         """Pressure of the free water at the nodes with a pore pressure [Pa]; shape (n_p,)."""

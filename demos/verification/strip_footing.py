@@ -97,36 +97,6 @@ def mechanism(phi):
 
 
 # %% [markdown]
-# ## Starting values
-#
-# A step begins with the rates of the last one. From the displacement of its start, where no point
-# yields any more, Newton's method would first go as far as an elastic body does, and come back:
-# that takes two iterations more.
-
-
-# %%
-class Extrapolated(hm.TransientModel):
-    """Steps that begin with the rates of the last one; the arguments are those of its base."""
-
-    def __init__(self, problem, dt, previous, **options):
-        super().__init__(problem, dt, previous, **options)
-        self.pairs = previous
-        self.rates = [np.zeros_like(end.x.array) for _, end in previous]
-
-    def solve(self):
-        """Solve the step. Collective."""
-        for (start, end), rate in zip(self.pairs, self.rates, strict=True):
-            end.x.array[:] = start.x.array + float(self.dt.value) * rate
-        return super().solve()
-
-    def accept(self):
-        """Copy the end of the step to the start of the next."""
-        for (start, end), rate in zip(self.pairs, self.rates, strict=True):
-            rate[:] = (end.x.array - start.x.array) / float(self.dt.value)
-        super().accept()
-
-
-# %% [markdown]
 # ## The model
 #
 # The stress comes from a `MaterialStress`, in plain UFL otherwise. Settlement is prescribed; the
@@ -181,7 +151,7 @@ class Footing:
             petsc_options=SOLVER,
             domain=self.domain,
         )
-        self.model = Extrapolated(
+        self.model = hm.TransientModel(
             self.problem,
             self.dt,
             previous=[(self.u_n, self.u), *previous],

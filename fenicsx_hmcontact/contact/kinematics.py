@@ -24,6 +24,9 @@ from .surface import Surface
 
 Float = npt.NDArray[np.float64]
 
+HALF = 0.5
+"""A new node has what more than this part of its parents has."""
+
 LATE = 0.5
 """A node that is coupled is dropped late, below this part of the smallest coverage."""
 
@@ -104,6 +107,41 @@ class Kinematics:
         """Start the step where a saved one did."""
         self._start, self._start_coverage = state
         self.restart_step()
+
+    def nodal_states(self) -> tuple[dict[str, Float], dict[str, Float]]:
+        """What the nodes of both surfaces hold at the start of a step; by name, shapes (n, ...)."""
+        covered, faced = self._start_coverage
+        secondary, primary = (surface.points for surface in self._rest)
+        flags = {"covered": covered.astype(float)}
+        return (
+            {"rest": secondary, "closed gap": self._closed_gaps} | flags,
+            {"rest": primary, "faced": faced.astype(float)},
+        )
+
+    def set_nodal_states(
+        self,
+        states: tuple[dict[str, Float], dict[str, Float]],
+        origin: Float,
+        displacements: tuple[Float, Float],
+    ) -> None:
+        """Start a step from what `nodal_states` returned, here or on another mesh.
+
+        Args:
+            states: Of the nodes of both surfaces.
+            origin: Centre that belongs to them [m].
+            displacements: Of the nodes of both surfaces [m]; shapes (n_s, 2), (n_m, 2).
+        """
+        secondary, primary = states
+        self._origin, self._closed_gaps = origin, secondary["closed gap"]
+        at_rest = secondary["rest"], primary["rest"]
+        one, other = (s.at(x) for s, x in zip(self._rest, at_rest, strict=True))
+        self._rest = one, other
+        coverage = secondary["covered"] > HALF, primary["faced"] > HALF
+        self._covered, self.faced = coverage
+        if self._pair.motion == "small":
+            self._couple(*self._rest)
+        self.place(displacements)
+        self._start, self._start_coverage = displacements, coverage
 
     @property
     def points(self) -> tuple[Float, Float]:

@@ -4,13 +4,25 @@
 from fenicsx_hmcontact.domain.domain import Domain
 from fenicsx_hmcontact.domain.gmsh_model import add_quadrilateral, align_nodes, gmsh_session
 from fenicsx_hmcontact.domain.mesh_arrays import MeshArrays
+from fenicsx_hmcontact.domain.nodal_state import (
+    NodalState,
+    function_state,
+    gather_states,
+    scatter_states,
+    set_function,
+)
 from fenicsx_hmcontact.domain.partition import vertex_ghost_partitioner
 
 __all__ = [
     "Domain",
     "MeshArrays",
+    "NodalState",
     "add_quadrilateral",
     "align_nodes",
+    "function_state",
+    "gather_states",
     "gmsh_session",
+    "scatter_states",
+    "set_function",
     "vertex_ghost_partitioner",
 ]

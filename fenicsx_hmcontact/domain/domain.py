@@ -21,10 +21,12 @@ from dolfinx.mesh import (
     MeshTags,
     create_mesh,
     create_submesh,
+    entities_to_geometry,
     meshtags_from_entities,
     transfer_meshtags_to_submesh,
 )
 
+from fenicsx_hmcontact import _compat
 from fenicsx_hmcontact.domain.gmsh_model import extract, gmsh_session
 from fenicsx_hmcontact.domain.mesh_arrays import MeshArrays, body_of_group, check
 from fenicsx_hmcontact.domain.partition import vertex_ghost_partitioner
@@ -212,6 +214,55 @@ class Domain:
         facet_tags = _tags(mesh, 1, arrays.facets, arrays.facet_groups, "surfaces")
         return cls(mesh, cell_tags, facet_tags, bodies, surfaces, name, declared)
 
+    def arrays(self) -> MeshArrays:
+        """The whole mesh where it is now, in the order of its input. Collective.
+
+        Returns:
+            The arrays on rank 0; empty ones on the other ranks.
+        """
+        mesh, comm = self.mesh, self.mesh.comm
+        nodes, cells = self._owned(0), self._owned(2)
+        index, x = mesh.geometry.input_global_indices, mesh.geometry.x
+        order, corners = _compat.input_cell_index(mesh)[cells], _compat.cell_nodes(mesh)[cells]
+        # Every owned cell is in one group.
+        groups = self.cell_tags.values[np.searchsorted(self.cell_tags.indices, cells)]
+        facets = self.facet_tags.indices
+        here = facets < mesh.topology.index_map(1).size_local
+        ends = entities_to_geometry(mesh, 1, facets[here]).reshape(-1, 2)
+        mine = (index[nodes], x[nodes], order, index[corners], groups)
+        parts = comm.gather((*mine, index[ends], self.facet_tags.values[here]))
+        if parts is None:
+            return MeshArrays.empty()
+        ids, points, order, cells, groups, facets, tags = map(
+            np.concatenate, zip(*parts, strict=True)
+        )
+        by_node, by_cell = np.argsort(ids), np.argsort(order)
+        facets = np.sort(facets, axis=1)
+        by_facet = np.lexsort(facets.T[::-1])
+        return MeshArrays(
+            points[by_node],
+            cells[by_cell].astype(np.int64),
+            groups[by_cell],
+            facets[by_facet],
+            tags[by_facet],
+            self.bodies,
+            self.surfaces,
+        )
+
+    def points(self) -> npt.NDArray[np.float64]:
+        """Where the nodes are now [m], in the order of the input. Collective.
+
+        Returns:
+            On rank 0, shape (n_points, 3); empty on the other ranks.
+        """
+        geometry, nodes = self.mesh.geometry, self._owned(0)
+        mine = geometry.input_global_indices[nodes], geometry.x[nodes]
+        parts = self.mesh.comm.gather(mine)
+        if parts is None:
+            return np.empty((0, 3))
+        ids, x = map(np.concatenate, zip(*parts, strict=True))
+        return x[np.argsort(ids)]
+
     @property
     def body_names(self) -> list[str]:
         """Names of the bodies; a body of several layers appears once, under its own name."""
@@ -308,6 +359,12 @@ class Domain:
         surfaces = {name: tag for name, tag in self.surfaces.items() if tag in present}
         part = Domain(mesh, cell_tags, facet_tags, bodies, surfaces, self.name, layers)
         return part, entity_map
+
+    def _owned(self, dim: int) -> npt.NDArray[np.int32]:
+        """Owned nodes of the geometry, or owned cells."""
+        mesh = self.mesh
+        owned = mesh.geometry.index_map() if dim == 0 else mesh.topology.index_map(dim)
+        return np.arange(owned.size_local, dtype=np.int32)
 
     def _body_of_group(self) -> dict[str, str]:
         return body_of_group(self.bodies, self.layers, self.name)

@@ -55,6 +55,44 @@ class MeshArrays:
             points, cells, self.cell_groups, facets, self.facet_groups, self.bodies, self.surfaces
         )
 
+    def without(
+        self, group: str, tag: int, exposed: str
+    ) -> tuple[MeshArrays, npt.NDArray[np.int64]]:
+        """The mesh without the triangles of a group.
+
+        Args:
+            group: Name of the group.
+            tag: Its tag.
+            exposed: Name of the surface group of edges that have become boundary.
+
+        Returns:
+            The mesh, and the old numbers of its nodes; shape (n_left,).
+
+        Raises:
+            ValueError: If nothing is left.
+        """
+        gone = self.cell_groups == tag
+        if gone.all():
+            raise ValueError(f"without '{group}' nothing is left")
+        left, taken = (_edges(self.cells[some]) for some in (~gone, gone))
+        bare = left[_occurs(left, taken)]
+        stays = _occurs(np.sort(self.facets, axis=1), left)
+        surfaces = dict(self.surfaces)
+        new = surfaces.setdefault(exposed, max(surfaces.values(), default=0) + 1)
+        facets = np.concatenate([self.facets[stays], bare])
+        facet_groups = np.append(self.facet_groups[stays], np.full(len(bare), new))
+        remaining = set(facet_groups.tolist())
+        kept, cells = np.unique(self.cells[~gone], return_inverse=True)
+        return MeshArrays(
+            self.points[kept],
+            cells.reshape(-1, 3),
+            self.cell_groups[~gone],
+            np.searchsorted(kept, facets),
+            facet_groups.astype(np.int32),
+            {name: value for name, value in self.bodies.items() if name != group},
+            {name: value for name, value in surfaces.items() if value in remaining},
+        ), kept
+
 
 def body_of_group(
     bodies: Iterable[str], layers: Mapping[str, Sequence[str]], source: str
@@ -126,6 +164,18 @@ def check(arrays: MeshArrays, source: str, layers: Mapping[str, Sequence[str]]) 
             f"surface group '{first}' and again in '{second}'; a facet can be in one only."
         )
     _refuse_facets_off_the_boundary(arrays, surface_names, source)
+
+
+def _edges(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Edges of triangles, lower node first; shape (3 n_cells, 2)."""
+    return np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+
+
+def _occurs(edges: npt.NDArray[np.int64], others: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Which edges are among others, all with the lower node first."""
+    n = int(max(edges.max(initial=0), others.max(initial=0))) + 1
+    result: npt.NDArray[np.bool_] = np.isin(edges @ (n, 1), others @ (n, 1))
+    return result
 
 
 def _place(arrays: MeshArrays, nodes: npt.NDArray[np.integer]) -> str:

@@ -56,6 +56,9 @@ class Points(Protocol):
     def coordinates(self) -> Float:
         """Coordinates that a field of initial values is taken at [m]; shape (n, 2)."""
 
+    def areas(self) -> Float:
+        """Part of the area that each point stands for [m^2]; shape (n,)."""
+
 
 class SmoothingPoints:
     """Points of node cells, see `Points`.
@@ -96,6 +99,10 @@ class SmoothingPoints:
         """Coordinates of the node, for all its points: linear stresses then balance weight."""
         return np.repeat(self.node_cells.points[self.cells], self.n_points, axis=0)
 
+    def areas(self) -> Float:
+        """Part of the area that each point stands for; all in a cell alike."""
+        return np.repeat(self.node_cells.areas[self.cells] / self.n_points, self.n_points)
+
 
 class QuadraturePoints:
     """Points of triangles, see `Points`: as many as integrate the gradient's square exactly.
@@ -113,7 +120,7 @@ class QuadraturePoints:
         self.measure = measure.reconstruct(
             domain=mesh, metadata={"quadrature_degree": degree, "quadrature_scheme": "default"}
         )
-        self._reference, _ = basix.make_quadrature(basix.CellType.triangle, degree)
+        self._reference, self._weights = basix.make_quadrature(basix.CellType.triangle, degree)
         self.n_points = len(self._reference)
         self.cells = _tagged(measure, mesh.topology.index_map(2).size_local)
         self.n_cells = self.cells.size
@@ -145,6 +152,12 @@ class QuadraturePoints:
         xi = self._reference
         shape = np.column_stack([1.0 - xi.sum(axis=1), xi])
         return np.einsum("pk,nki->npi", shape, x).reshape(-1, 2)
+
+    def areas(self) -> Float:
+        """Part of the area that each point stands for, of triangles with straight edges."""
+        x = self._mesh.geometry.x[_compat.cell_nodes(self._mesh)[self.cells], :2]
+        (a, b), (c, d) = (x[:, 1] - x[:, 0]).T, (x[:, 2] - x[:, 0]).T
+        return np.outer(np.abs(a * d - b * c), self._weights).ravel()
 
 
 class _QuadratureFunction(fem.Function):

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 from .. import _compat
 from .._kernels import rotation as kernels
 from .._kernels.node_cells import inverted_triangles
+from ..domain import NodalState
 from ..smoothing import NodeCells, dc
 from .interface import Bool, Float, Material
 from .kinematics import (
@@ -26,6 +27,9 @@ from .kinematics import (
     strain_increment,
 )
 from .points import create_points
+
+AT_REST = 1e2 * float(np.finfo(np.float64).eps)
+"""Strain that is round-off of means over node cells."""
 
 IN_PLANE = [0, 1, 3]
 """Components of a stress xx, yy, zz, xy that do work in the plane."""
@@ -42,6 +46,7 @@ class PointState:
         turned: Angle that the material has turned by in the step [rad]; shape (n,).
         flagged: Points where the law had no solution; shape (n,).
         reason: Why.
+        by_law: Whether the tangent is the law's; not in a state that was given.
     """
 
     stress: Float
@@ -50,6 +55,7 @@ class PointState:
     turned: Float
     flagged: Bool
     reason: str = ""
+    by_law: bool = False
 
 
 class MaterialStress:
@@ -77,6 +83,8 @@ class MaterialStress:
         start: State at the start of the step.
         end: State at the end of the step, as of the last residual.
         strained: Largest increment of strain or spin on this rank in it [-].
+        booked: Sum over all steps of the integrals of what the histories grew by, on this rank;
+            shape (m,).
 
     Raises:
         ValueError: If kinematics and measure do not go together.
@@ -117,6 +125,7 @@ class MaterialStress:
         self.start = PointState(
             np.zeros((n, 4)), history, tangent, np.zeros(n), np.zeros(n, np.bool_)
         )
+        self.booked = np.zeros(history.shape[1])
         self._last: tuple[Float, Float] | None = None
         self._take(self.start)
 
@@ -160,6 +169,21 @@ class MaterialStress:
         """A history at the end of the step; shape (cells, points a cell)."""
         return self._by_cell(self.end.history)[:, :, self._history(name)]
 
+    def integrals(self) -> dict[str, tuple[float, float]]:
+        """Integral of each history over the body, and what the steps booked of it. Collective.
+
+        The first is that of the values at the end of the step, in cells as they are now. The second
+        is the sum of what each step added in the cells it began with, exact however nodes come and
+        go since.
+
+        Returns:
+            Both by the name of the history [m^2], per metre thickness.
+        """
+        pairs = np.stack((self._integral(self.end.history), self.booked))
+        sums = self.u.function_space.mesh.comm.allreduce(pairs)
+        names = self.material.history_names
+        return {name: (float(a), float(b)) for name, a, b in zip(names, *sums, strict=True)}
+
     # --- what a problem calls ---------------------------------------------------------------
 
     @property
@@ -194,6 +218,10 @@ class MaterialStress:
                 f"the step starts where the last one did, but not {self.name}: {remedy} after it"
             )
 
+    def begin_elastic(self) -> None:
+        """Begin the step with the law's tangent at rest, not with that of the last step's end."""
+        self.start = replace(self.start, by_law=False)
+
     def update(self) -> None:
         """Find stress and tangent at the present displacement.
 
@@ -207,6 +235,10 @@ class MaterialStress:
         if not np.all(np.isfinite(increments)):
             raise FloatingPointError(f"the strain increments of {self.name} are not numbers")
         self.strained = float(np.abs(increments).max(initial=0.0))
+        if self.start.by_law and self.strained <= AT_REST:
+            # At rest all points are elastic: begin with the tangent that the last step ended on.
+            self._take(replace(self.start, turned=np.zeros_like(self.start.turned)))
+            return
         strain, start = increments[:, :3], self.start
         if not self.finite:
             result = self.material.update(start.stress, strain, start.history)
@@ -222,19 +254,22 @@ class MaterialStress:
             )
             turned = -2.0 * np.arctan(0.5 * spin)
         flagged = np.zeros(len(stress), np.bool_) if result.flagged is None else result.flagged
-        self._take(PointState(stress, result.history, tangent, turned, flagged, result.reason))
+        self._take(
+            PointState(stress, result.history, tangent, turned, flagged, result.reason, True)
+        )
 
     def save(self) -> Any:
         """Return all that steps change, to go back to with `restore`."""
-        return self.start, self.end, self._last
+        return self.start, self.end, self._last, self.booked
 
     def restore(self, saved: Any) -> None:
         """Go back to what `save` returned, bit for bit."""
-        self.start, end, self._last = saved
+        self.start, end, self._last, self.booked = saved
         self._take(end)
 
     def commit(self) -> None:
         """Take the end of the step for the start of the next."""
+        self.booked = self.booked + self._integral(self.end.history - self.start.history)
         self.start = self.end
         self._last = self.u.x.array.copy(), self.u_n.x.array.copy()
 
@@ -243,6 +278,50 @@ class MaterialStress:
         if self._last is not None and self.finite and self.node_cells is not None:
             self.node_cells.angles[self._points.cells] += self._by_cell(self.start.turned).mean(1)
         self._last = None
+
+    def nodal_state(self) -> NodalState:
+        """What the material holds at the end of the step, by the nodes of its cells. Collective.
+
+        Raises:
+            ValueError: If it lives on triangles, which do not outlive a remesh.
+        """
+        cells = self._points.node_cells
+        if cells is None:
+            raise ValueError(f"{self.name} lives on triangles; only node cells can be carried over")
+        end, comm = self.end, self.u.function_space.mesh.comm
+        arrays = {"stress": end.stress, "history": end.history, "tangent": end.tangent}
+        nodal = {name: self._by_cell(array) for name, array in arrays.items()}
+        booked = comm.allreduce(self.booked).tolist()
+        values = {"by law": end.by_law, "booked": booked}
+        return NodalState(cells.input_nodes[self._points.cells], nodal, values)
+
+    def set_nodal_state(self, state: NodalState) -> None:
+        """Start from a state that `nodal_state` returned, here or on another mesh.
+
+        The displacement is that of the start of a step.
+        """
+        self.u_n.x.array[:] = self.u.x.array
+        n = self._points.n_cells * self._points.n_points
+        stress, history, tangent = (
+            state.nodal[name].reshape(n, *shape.shape[1:])
+            for name, shape in (
+                ("stress", self.start.stress),
+                ("history", self.start.history),
+                ("tangent", self.start.tangent),
+            )
+        )
+        self.start = PointState(
+            stress, history, tangent, np.zeros(n), np.zeros(n, np.bool_), "", state.values["by law"]
+        )
+        # One rank keeps the sum of all.
+        first = self.u.function_space.mesh.comm.rank == 0
+        self.booked = np.array(state.values["booked"]) * first
+        self._last = None
+        self._take(self.start)
+
+    def _integral(self, histories: Float) -> Float:
+        """Integrals of histories over the cells of this rank; shape (m,)."""
+        return np.asarray(self._points.areas() @ histories)
 
     def _take(self, state: PointState) -> None:
         """Take a state for that of the end of the step."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 
 from mpi4py import MPI
@@ -16,8 +17,8 @@ def on_root(comm: MPI.Comm, action: Callable[[], object]) -> None:
         action: What rank 0 does: write a file, draw a figure. It must not be collective itself.
 
     Raises:
-        Exception: What the action raised. Where that is no built-in exception, the other ranks
-            raise a RuntimeError with its text.
+        Exception: What the action raised. Where it cannot be sent, the other ranks raise a
+            RuntimeError with its text.
     """
     raised: Exception | None = None
     shared: Exception | None = None
@@ -26,11 +27,20 @@ def on_root(comm: MPI.Comm, action: Callable[[], object]) -> None:
             action()
         except Exception as error:
             raised = error
-            # Only built-in exceptions are sure to survive pickling.
-            builtin = type(error).__module__ == "builtins"
-            shared = error if builtin else RuntimeError(f"{type(error).__name__}: {error}")
+            shared = _sendable(error)
     shared = comm.bcast(shared)
     if raised is not None:
         raise raised
     if shared is not None:
         raise shared
+
+
+def _sendable(error: Exception) -> Exception:
+    """The error, or one with its text where other ranks would not get the same."""
+    try:
+        copy = pickle.loads(pickle.dumps(error))
+    except Exception:
+        copy = None
+    if type(copy) is type(error) and str(copy) == str(error):
+        return error
+    return RuntimeError(f"{type(error).__name__}: {error}")

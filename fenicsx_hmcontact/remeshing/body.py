@@ -133,7 +133,7 @@ class Body:
         used = np.unique(self.cells)
         number = np.zeros(len(self.points), np.int64)
         number[used] = np.arange(used.size)
-        cells, self.groups = triangulate(self.points[used], number[fixed], groups)
+        cells, self.groups, _ = triangulate(self.points[used], number[fixed], groups)
         self.cells = used[cells]
         self.count("from scratch", 1)
 

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -110,3 +111,11 @@ class Remeshing:
                 raise ValueError(f"{name} is {value!r}; it must be a function, or None")
         if isinstance(self.keep, str):
             raise ValueError(f"keep is '{self.keep}'; it must be a tuple of names of surfaces")
+
+    def described(self) -> dict[str, Any]:
+        """All options as JSON can hold them; functions by their names."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            name: getattr(value, "__qualname__", repr(value)) if callable(value) else value
+            for name, value in values.items()
+        }

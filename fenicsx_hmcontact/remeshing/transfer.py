@@ -34,6 +34,11 @@ class Transfer:
         """Nothing changes."""
         return cls(np.arange(n), csr_array((0, n)))
 
+    @classmethod
+    def subset(cls, kept: Ints, n: int) -> Transfer:
+        """Some of n nodes stay, none are inserted."""
+        return cls(kept, csr_array((0, n)))
+
     def __call__(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Carry nodal values to the new mesh; those of kept nodes stay the same bit for bit.
 

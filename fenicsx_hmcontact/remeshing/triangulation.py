@@ -18,7 +18,7 @@ from fenicsx_hmcontact._kernels.insertion import (
     insert_points,
 )
 from fenicsx_hmcontact.remeshing.edges import Bools, Edges, Floats, Ints
-from fenicsx_hmcontact.remeshing.quality import areas
+from fenicsx_hmcontact.remeshing.quality import angles, areas
 
 AROUND = 20.0
 """Size of the triangle that a triangulation starts from, relative to that of the body."""
@@ -66,10 +66,11 @@ def flip_to_delaunay(points: Floats, cells: Ints, edges: Edges) -> tuple[Ints, i
 
 def triangulate(
     points: Floats, edges: Ints, groups: npt.ArrayLike = 0
-) -> tuple[Ints, npt.NDArray[np.int64]]:
+) -> tuple[Ints, Ints, float]:
     """Triangulate nodes within a boundary from scratch: a constrained Delaunay triangulation.
 
-    Needed where a triangle is inverted, as flips need proper triangles to begin with.
+    Needed where a triangle is inverted, as flips need proper triangles to begin with. No angle is
+    too small: where boundary nodes nearly coincide, the smallest one says so.
 
     Args:
         points: Coordinates [m]; shape (n_points, 2).
@@ -79,11 +80,11 @@ def triangulate(
         groups: Group to the left of each edge; shape (n_edges,), or one for all.
 
     Returns:
-        Triangles in canonical order and their groups.
+        Triangles in canonical order, their groups, and the smallest angle [degrees].
 
     Raises:
         TriangulationError: If coordinates are not finite, nodes coincide or lie outside or on an
-            edge, edges cross, or the edges enclose no area.
+            edge, edges cross or have no length, or the edges enclose no area.
     """
     groups = np.broadcast_to(np.asarray(groups, np.int64), len(edges))
     if len(points) < 3:
@@ -92,6 +93,10 @@ def triangulate(
         raise TriangulationError(
             f"{_node(points, np.argmin(np.isfinite(points).all(1)))} is not finite"
         )
+    of_no_length = edges[:, 0] == edges[:, 1]
+    if of_no_length.any():
+        a = edges[np.argmax(of_no_length), 0]
+        raise TriangulationError(f"an edge runs from {_node(points, a)} to itself")
     area = enclosed_area(points, edges)
     if area <= 0.0:
         raise TriangulationError(f"the boundary encloses an area of {area:.3g} m^2")
@@ -116,8 +121,8 @@ def triangulate(
 
     _legalise_all(around, cells, beyond, fixed)
     cells, inside = _enclosed(points, cells, beyond, fixed, edges, groups)
-    verify(points, cells, inside, edges, groups)
-    return canonical(cells, inside)
+    smallest_angle = verify(points, cells, inside, edges, groups)
+    return *canonical(cells, inside), smallest_angle
 
 
 def enclosed_area(points: Floats, edges: Ints) -> float:
@@ -132,8 +137,11 @@ def directed_edges(cells: Ints, groups: Ints, edges: Edges) -> tuple[Ints, Ints]
     return np.stack([cells[cell, (k + 1) % 3], cells[cell, (k + 2) % 3]], axis=1), groups[cell]
 
 
-def verify(points: Floats, cells: Ints, groups: Ints, edges: Ints, edge_groups: Ints) -> None:
+def verify(points: Floats, cells: Ints, groups: Ints, edges: Ints, edge_groups: Ints) -> float:
     """Refuse triangles that do not fill exactly what the edges enclose.
+
+    Returns:
+        The smallest angle [degrees].
 
     Raises:
         TriangulationError: If a node is in no triangle, a triangle has no area, the areas do not
@@ -155,6 +163,7 @@ def verify(points: Floats, cells: Ints, groups: Ints, edges: Ints, edge_groups: 
     made, made_groups = directed_edges(cells, groups, Edges.of(cells, groups, edges[:0]))
     if not np.array_equal(_sorted_rows(made, made_groups), _sorted_rows(edges, edge_groups)):
         raise TriangulationError("the boundary of the triangles is not the one given")
+    return float(angles(points, cells).min())
 
 
 def _sorted_rows(edges: Ints, groups: Ints) -> Ints:

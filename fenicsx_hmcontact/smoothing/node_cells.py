@@ -57,6 +57,15 @@ class NodeCells:
         return self.areas.size
 
     @cached_property
+    def input_nodes(self) -> npt.NDArray[np.int64]:
+        """Number of each cell's node in the input of the mesh; shape (n_cells,)."""
+        index = np.empty(len(self.points), np.int64)
+        index[self.vertices] = self.mesh.geometry.input_global_indices[
+            _compat.cell_nodes(self.mesh)
+        ]
+        return index[: len(self)]
+
+    @cached_property
     def corners(self) -> npt.NDArray[np.int32]:
         """Entry of ``nodes`` of each vertex of ``triangles``; shape (triangles.size, 3)."""
         topology = self.vertices, self.triangle_offsets, self.triangles, self.offsets, self.nodes

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from ..domain import NodalState, function_state, set_function
 from .linear import LinearSolverError, SingularSystemError
 from .newton import ConvergenceError, NewtonResult, contact_counts
 
@@ -152,6 +153,18 @@ class Problem(Protocol):
     def restore(self, state: Any) -> None:
         """Go back to what `save` returned."""
 
+    def nodal_state(self) -> dict[str, NodalState]:
+        """What the problem holds between two steps, by nodes; for a `Simulation`."""
+
+    def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
+        """Start from what `nodal_state` returned; likewise."""
+
+    def integrals(self) -> dict[str, tuple[float, float]]:
+        """Integrals of histories, and what the steps booked of them; likewise."""
+
+    def gap_volumes(self) -> dict[str, float]:
+        """Volumes of gaps by pair; likewise."""
+
 
 class TransientModel:
     """A problem in time whose state is that of functions, to be stepped.
@@ -181,12 +194,12 @@ class TransientModel:
         follow: Callable[[], None] | None = None,
     ) -> None:
         self.comm, self.dt, self.time, self.histories = problem.comm, dt, time, histories
-        self._problem, self._previous, self._saved = problem, previous, saved
+        self.problem, self.previous, self.saved = problem, previous, saved
         self._check, self._follow = check, follow
 
     def solve(self) -> NewtonResult:
         """Solve the step. Collective."""
-        return self._problem.solve()
+        return self.problem.solve()
 
     def check(self) -> None:
         """Ask the check of the user."""
@@ -197,18 +210,46 @@ class TransientModel:
         """Let the mesh follow, and copy the end of the step to the start of the next."""
         if self._follow is not None:
             self._follow()
-        for start, end in self._previous:
+        for start, end in self.previous:
+            start.x.array[:] = end.x.array
+
+    def nodal_state(self) -> dict[str, NodalState]:
+        """What the model holds between two steps, by the nodes of its mesh. Collective.
+
+        Raises:
+            ValueError: If something in it cannot be carried to another mesh.
+        """
+        states = self.problem.nodal_state()
+        for i, item in enumerate(self.saved):
+            name = f"saved {i}"
+            if isinstance(item, fem.Function):
+                states[name] = function_state(item)
+            else:
+                values = {"value": np.asarray(item.value).tolist()}
+                states[name] = NodalState(np.zeros(0, np.int64), {}, values)
+        return states
+
+    def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
+        """Start from what `nodal_state` returned, on this mesh or another. Collective."""
+        for i, item in enumerate(self.saved):
+            state = states[f"saved {i}"]
+            if isinstance(item, fem.Function):
+                set_function(item, state)
+            else:
+                item.value = state.values["value"]
+        self.problem.set_nodal_state(states)
+        for start, end in self.previous:
             start.x.array[:] = end.x.array
 
     def save(self) -> Any:
         """Copy the state."""
-        return self._problem.save(), save_values(self._saved)
+        return self.problem.save(), save_values(self.saved)
 
     def restore(self, state: Any) -> None:
         """Go back to a saved state, bit for bit. Collective."""
         problem, values = state
-        self._problem.restore(problem)
-        restore_values(self._saved, values)
+        self.problem.restore(problem)
+        restore_values(self.saved, values)
 
 
 def save_values(items: Iterable[Stored]) -> list[npt.NDArray[np.float64]]:
@@ -288,6 +329,8 @@ class TimeStepping:
         self.model, self.t = model, float(start)
         self._options = options
         self._to_accept = False
+        self._lengths: _Lengths | None = None
+        self._resumed: _Lengths | None = None
 
     def run(self, times: float | Sequence[float], dt: float, *, bar: str = "") -> Iterator[Step]:
         """Go on to the asked times, and yield every accepted step. Collective.
@@ -319,22 +362,40 @@ class TimeStepping:
         )
 
     def _steps(self, ends: list[float], dt: float) -> Iterator[Step]:
-        lengths = _Lengths(self._options, dt)
+        lengths = self._lengths = self._resumed or _Lengths(self._options, dt)
+        self._resumed = None
         for end in ends:
-            lengths.head_for(self.t, end)
+            if lengths.end != end:
+                lengths.head_for(self.t, end)
             while self.t < end:
-                self._accept()
+                self.accept()
                 step = self._advance(lengths)
                 self.t, self._to_accept = step.t, True
                 lengths.succeed(step)
                 self._log(step)
                 yield step
-        self._accept()
+        self.accept()
 
-    def _accept(self) -> None:
+    def accept(self) -> None:
+        """Make the end of the last step the start of the next. Collective.
+
+        It comes by itself, once, when the next step is asked for. Call it before that where the
+        start of the next step is to be seen or changed.
+        """
         if self._to_accept:
+            self._to_accept = False
             self.model.accept()
-        self._to_accept = False
+
+    def save(self) -> dict[str, Any]:
+        """Time and lengths of the steps, to go on with in another run by `restore`."""
+        return {"t": self.t, "lengths": self._lengths and self._lengths.save()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where `save` was called: the next `run` keeps the lengths found there."""
+        self.t, self._to_accept = state["t"], False
+        if state["lengths"] is not None:
+            self._resumed = _Lengths(self._options, 0.0)
+            self._resumed.restore(state["lengths"])
 
     def _advance(self, lengths: _Lengths) -> Step:
         """Take the next step, with as many cuts as it needs."""
@@ -411,7 +472,15 @@ class _Lengths:
 
     def __init__(self, options: StepOptions, dt: float) -> None:
         self._options, self._dt, self._length = options, dt, dt
-        self._shortened, self._easy, self.end = False, 0, 0.0
+        self._shortened, self._easy, self.end = False, 0, -math.inf
+
+    def save(self) -> dict[str, float]:
+        """Everything but the options, as numbers."""
+        return {name: value for name, value in vars(self).items() if name != "_options"}
+
+    def restore(self, state: dict[str, float]) -> None:
+        """Go on where `save` was called."""
+        vars(self).update(state)
 
     def head_for(self, t: float, end: float) -> None:
         """Divide the way to the next asked time."""

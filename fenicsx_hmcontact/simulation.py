@@ -1,0 +1,432 @@
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A run over meshes that change: steps, remeshes, stages, checkpoints (Section 3.4)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Self
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+from .domain import Domain, MeshArrays, NodalState, gather_states, scatter_states
+from .output.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
+from .output.root import on_root
+from .remeshing import (
+    Quality,
+    Remeshed,
+    Remeshing,
+    Transfer,
+    angles,
+    areas,
+    due,
+    remesh,
+    target_sizes,
+)
+from .solvers import StepOptions, TimeStepping, TransientModel
+
+type Build = Callable[[Domain], TransientModel]
+"""Makes the model of a run on a domain: spaces, forms, conditions and pairs."""
+
+
+@dataclass(frozen=True)
+class RemeshRecord:
+    """What a remesh did, the same on all ranks.
+
+    Attributes:
+        step: Number of the step after which it was done, from 1 on.
+        t: Time [s].
+        reasons: Why, by body.
+        counts: How often each operation was done, by body.
+        unsettled: Bodies that would have changed further in more rounds.
+        n_nodes: Number of nodes afterwards.
+        smallest_angle: Smallest angle of all triangles before and afterwards [degrees].
+        merged: Area that bodies gained where boundary nodes were removed, by body [m^2].
+        merged_total: The same with each triangle counted as positive.
+        merged_water: Area gained by porous bodies, which is the water and the grains in it [m^2].
+        histories: Integral of each history before and afterwards [m^2].
+        gap_volumes: Volume of the gap of each pair with water before and afterwards [m^2].
+        seconds: Wall time.
+    """
+
+    step: int
+    t: float
+    reasons: dict[str, list[str]]
+    counts: dict[str, dict[str, int]]
+    unsettled: list[str]
+    n_nodes: int
+    smallest_angle: tuple[float, float]
+    merged: dict[str, float]
+    merged_total: float
+    merged_water: float
+    histories: dict[str, tuple[float, float]]
+    gap_volumes: dict[str, tuple[float, float]]
+    seconds: float
+
+
+class Simulation(TimeStepping):
+    """Steps of a model whose mesh is rebuilt where its triangles get poor.
+
+    After a step that is accepted the triangles are looked at; where they call for it they are built
+    anew over the nodes, and spaces, forms, conditions and pairs on them by the same function that
+    built the first. What nodes know stays on them: displacements, pressures, stresses, histories,
+    axes, the state of contact. New nodes get convex combinations.
+
+    Args:
+        build: Makes the model on a domain. It is called again after each remesh, and must depend on
+            nothing but the domain and what does not change.
+        domain: The first domain.
+        remeshing: When and how to remesh; None never does.
+        options: How the length of steps follows failure and success.
+        start: Time at the start [s].
+
+    Attributes:
+        domain: The present domain.
+        model: The present model, as ``build`` returned it.
+        remeshing: Options of remeshing.
+        records: What the remeshes did.
+        n_steps: Number of accepted steps whose end is the start of the next.
+
+    Note:
+        Collective.
+    """
+
+    model: TransientModel
+
+    def __init__(
+        self,
+        build: Build,
+        domain: Domain,
+        remeshing: Remeshing | None = None,
+        *,
+        options: StepOptions = StepOptions(),
+        start: float = 0.0,
+    ) -> None:
+        super().__init__(build(domain), options, start=start)
+        self.domain, self.remeshing, self._build = domain, remeshing, build
+        self.records: list[RemeshRecord] = []
+        self.n_steps = 0
+        # On rank 0 alone
+        self._arrays = domain.arrays()
+        self._sizes = target_sizes(self._arrays)
+        self._quality: dict[str, Quality] = {}
+
+    def accept(self) -> None:
+        """Make the end of the last step the start of the next, on a new mesh if due. Collective."""
+        if not self._to_accept:
+            return
+        super().accept()
+        self.n_steps += 1
+        before = self._arrays
+        self._arrays = replace(before, points=self.domain.points())
+        if self.remeshing is not None:
+            reasons = self._due(before)
+            if reasons:
+                self.remesh(reasons)
+
+    def remesh(self, reasons: Mapping[str, Sequence[str]]) -> None:
+        """Rebuild the triangles of bodies, and everything on them. Collective.
+
+        Args:
+            reasons: Why, by body; other bodies stay as they are.
+
+        Raises:
+            TriangulationError: If a body has no triangulation, as where its boundary crosses
+                itself.
+            ValueError: If there are no options of remeshing, or no such body.
+        """
+        options = self.remeshing
+        if options is None:
+            raise ValueError("a run without remeshing= has no options to remesh by")
+        self.accept()
+        begin, arrays, layers = time.perf_counter(), self._arrays, self.domain.layers
+        results: list[Remeshed] = []
+        on_root(
+            self.model.comm,
+            lambda: results.append(
+                remesh(arrays, self._sizes, options, names=list(reasons), layers=layers)
+            ),
+        )
+        result = results[0] if results else None
+        if result is not None:
+            self._quality |= result.quality
+        if not self.model.comm.bcast(result is not None and result.changed):
+            return
+        known = self._known()
+        porous: list[npt.NDArray[np.bool_]] = []
+        sizes = self._sizes if result is None else result.sizes
+        new = arrays if result is None else result.arrays
+        transfer = None if result is None else result.transfer
+        self._go_on(new, sizes, transfer, layers, porous)
+        record: dict[str, Any] = {}
+        if result is not None:
+            angle = tuple(float(angles(a.points, a.cells).min()) for a in (arrays, new))
+            record = self._booked(result, porous[0]) | {
+                "step": self.n_steps,
+                "t": self.t,
+                "reasons": {body: list(why) for body, why in reasons.items()},
+                "counts": result.counts,
+                "unsettled": result.unsettled,
+                "n_nodes": len(new.points),
+                "smallest_angle": angle,
+            }
+        record = self.model.comm.bcast(record)
+        for name, after in self._known().items():
+            record[name] = {key: (known[name][key], value) for key, value in after.items()}
+        record["seconds"] = time.perf_counter() - begin
+        self.records.append(RemeshRecord(**record))
+
+    def remove(self, group: str, exposed: str) -> None:
+        """Take a group out of the ground between two stages, as in an excavation. Collective.
+
+        Args:
+            group: Name of the body group.
+            exposed: Name of the surface group of what is laid bare; a new one, or one there is.
+
+        Raises:
+            ValueError: If there is no such group, or nothing would be left.
+        """
+        self.accept()
+        tag = self.domain.body(group)
+        layers = {
+            body: [name for name in names if name != group]
+            for body, names in self.domain.layers.items()
+        }
+        layers = {body: names for body, names in layers.items() if names}
+        parts: list[tuple[MeshArrays, npt.NDArray[np.int64]]] = []
+        on_root(self.model.comm, lambda: parts.append(self._arrays.without(group, tag, exposed)))
+        arrays, sizes, transfer = self._arrays, self._sizes, None
+        if parts:
+            (arrays, kept), n = parts[0], len(self._sizes)
+            sizes, transfer = sizes[kept], Transfer.subset(kept, n)
+        self._quality = {}
+        self._go_on(arrays, sizes, transfer, layers)
+
+    # --- checkpoints --------------------------------------------------------------------------
+
+    def write_checkpoint(self, path: str | Path) -> None:
+        """Write all that the run needs to go on, to one file. Collective.
+
+        The last step is accepted first. Nothing that a run leaves in its solvers is written; this
+        run forgets it too, so that both go on alike to the last bit on as many ranks.
+
+        Args:
+            path: The file; one of that name is replaced once the new one is whole.
+
+        Raises:
+            OSError: On all ranks, if it cannot be written.
+            ValueError: If something in the model cannot be carried over.
+        """
+        self.accept()
+        states = self.model.nodal_state()
+        whole = gather_states(self.model.comm, states, len(self._arrays.points))
+        mesh = self._arrays
+        arrays = {f"mesh {name}": getattr(mesh, name) for name in _MESH}
+        arrays |= {"sizes": self._sizes}
+        arrays |= {
+            f"state {name}/{key}": table
+            for name, state in whole.items()
+            for key, table in state.nodal.items()
+        }
+        description = {
+            "stepping": self.save(),
+            "n_steps": self.n_steps,
+            "records": [asdict(record) for record in self.records],
+            "quality": {body: asdict(quality) for body, quality in self._quality.items()},
+            "remeshing": None if self.remeshing is None else self.remeshing.described(),
+            "values": {name: state.values for name, state in states.items()},
+            "bodies": self.domain.bodies,
+            "surfaces": self.domain.surfaces,
+            "layers": {body: list(names) for body, names in self.domain.layers.items()},
+            "name": self.domain.name,
+        }
+        on_root(self.model.comm, lambda: write_checkpoint(path, arrays, description))
+        self.model.set_nodal_state(states)
+
+    @classmethod
+    def restart(
+        cls,
+        path: str | Path,
+        build: Build,
+        comm: MPI.Comm,
+        remeshing: Remeshing | None = None,
+        *,
+        options: StepOptions = StepOptions(),
+    ) -> Self:
+        """Go on from a checkpoint, on any number of ranks. Collective.
+
+        Args:
+            path: The file.
+            build: As of the run that wrote it.
+            comm: Communicator.
+            remeshing: As of the run that wrote it; other options hold from here on.
+            options: Likewise.
+
+        Raises:
+            FileNotFoundError: On all ranks, if there is no such file.
+            CheckpointError: On all ranks, if it is no checkpoint, damaged, of another version, or
+                that of another model.
+        """
+        found: list[tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]] = []
+        on_root(comm, lambda: found.append(read_checkpoint(path)))
+        description = comm.bcast(found[0][1] if found else None)
+        mesh, whole = None, {}
+        sizes = np.empty(0)
+        if found:
+            arrays, sizes = found[0][0], found[0][0]["sizes"]
+            mesh = MeshArrays(
+                **{name: arrays[f"mesh {name}"] for name in _MESH},
+                bodies=description["bodies"],
+                surfaces=description["surfaces"],
+            )
+            everywhere = np.arange(len(mesh.points))
+            for name, values in description["values"].items():
+                start = f"state {name}/"
+                nodal = {
+                    key.removeprefix(start): table
+                    for key, table in arrays.items()
+                    if key.startswith(start)
+                }
+                whole[name] = NodalState(everywhere, nodal, values)
+        domain = Domain.from_arrays(
+            mesh, comm, name=description["name"], layers=description["layers"]
+        )
+        run = cls(build, domain, remeshing, options=options)
+        try:
+            run._take_over(whole)
+        except ValueError as error:
+            raise CheckpointError(f"{path} is that of another model: {error}") from error
+        run._sizes = sizes
+        run._quality = {body: Quality(**q) for body, q in description["quality"].items()}
+        run.records = [RemeshRecord(**_tuples(record)) for record in description["records"]]
+        run.n_steps = description["n_steps"]
+        run.restore(description["stepping"])
+        return run
+
+    # --- what it is made of -------------------------------------------------------------------
+
+    def drifts(self) -> dict[str, float]:
+        """How far the integral of each history is from what the steps booked, relative. Collective.
+
+        Both are exact integrals; cells that change under values that stay make the difference.
+        """
+        return {
+            name: integral / booked - 1.0 if booked else 0.0
+            for name, (integral, booked) in self.model.problem.integrals().items()
+        }
+
+    def _due(self, before: MeshArrays) -> dict[str, list[str]]:
+        """Why bodies call for a remesh after the last step. Collective."""
+        found: dict[str, list[str]] = {}
+        options, now = self.remeshing, self._arrays
+        assert options is not None
+
+        def look() -> None:
+            ratios = areas(now.points, now.cells) / areas(before.points, before.cells)
+            found.update(
+                due(
+                    now,
+                    self._sizes,
+                    options,
+                    step=self.n_steps,
+                    after_last=self._quality,
+                    area_ratios=ratios,
+                    layers=self.domain.layers,
+                )
+            )
+
+        on_root(self.model.comm, look)
+        return self.model.comm.bcast(found)
+
+    def _go_on(
+        self,
+        arrays: MeshArrays,
+        sizes: npt.NDArray[np.float64],
+        transfer: Transfer | None,
+        layers: Mapping[str, Sequence[str]],
+        porous: list[npt.NDArray[np.bool_]] | None = None,
+    ) -> None:
+        """Build the model on another mesh, and carry over what the nodes know. Collective.
+
+        Args:
+            arrays: The new mesh, on rank 0.
+            sizes: Target size of its nodes, on rank 0.
+            transfer: From the old nodes to the new ones, on rank 0.
+            layers: Bodies of several groups.
+            porous: Receives which old nodes have a pore pressure, on rank 0.
+        """
+        comm, n = self.model.comm, len(self._arrays.points)
+        whole = gather_states(comm, self.model.nodal_state(), n)
+        if transfer is not None:
+            if porous is not None:
+                porous.append(_porous(whole, n))
+            everywhere = np.arange(len(arrays.points))
+            whole = {
+                name: NodalState(
+                    everywhere, {k: transfer(v) for k, v in state.nodal.items()}, state.values
+                )
+                for name, state in whole.items()
+            }
+        name = self.domain.name
+        domain = Domain.from_arrays(
+            arrays if comm.rank == 0 else None, comm, name=name, layers=layers
+        )
+        dt = self.model.dt.value.copy()
+        self.domain, self.model = domain, self._build(domain)
+        self.model.dt.value = dt
+        self._arrays, self._sizes = domain.arrays(), sizes
+        self._take_over(whole)
+
+    def _take_over(self, whole: dict[str, NodalState]) -> None:
+        """Give the model what all nodes hold, from rank 0. Collective."""
+        model = self.model
+        model.set_nodal_state(scatter_states(model.comm, whole, model.nodal_state()))
+
+    def _known(self) -> dict[str, dict[str, float]]:
+        """Integrals of histories and volumes of gaps, which a remesh may change. Collective."""
+        problem = self.model.problem
+        histories = {name: integral for name, (integral, _) in problem.integrals().items()}
+        return {"histories": histories, "gap_volumes": problem.gap_volumes()}
+
+    def _booked(self, result: Remeshed, porous: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """Areas that went with removed nodes of boundaries; on rank 0."""
+        merges, domain = result.merges, self.domain
+        owner = {domain.bodies[name]: name for name in domain.bodies}
+        for body, names in domain.layers.items():
+            owner |= {domain.bodies[name]: body for name in names}
+        merged = dict.fromkeys(owner.values(), 0.0)
+        for area, group in zip(merges.areas, merges.groups, strict=True):
+            merged[owner[int(group)]] += float(area)
+        wet = merges.weights @ porous.astype(float) > 0.5
+        return {
+            "merged": merged,
+            "merged_total": float(np.abs(merges.areas).sum()),
+            "merged_water": float(merges.areas[wet].sum()),
+        }
+
+
+_MESH = tuple(f.name for f in fields(MeshArrays) if f.name not in ("bodies", "surfaces"))
+
+
+def _porous(whole: Mapping[str, NodalState], n: int) -> npt.NDArray[np.bool_]:
+    """Which nodes have a scalar field, which is a pore pressure."""
+    found = np.zeros(n, bool)
+    for name, state in whole.items():
+        values = state.nodal.get("value")
+        if name.startswith("field ") and values is not None and values.shape[1] == 1:
+            found |= np.isfinite(values[:, 0])
+    return found
+
+
+def _tuples(record: dict[str, Any]) -> dict[str, Any]:
+    """A record as it was before JSON made lists of its pairs."""
+    pairs = {
+        name: {key: tuple(pair) for key, pair in record[name].items()}
+        for name in ("histories", "gap_volumes")
+    }
+    return record | pairs | {"smallest_angle": tuple(record["smallest_angle"])}

@@ -181,6 +181,13 @@ class Simulation(TimeStepping):
         record["seconds"] = time.perf_counter() - begin
         self.records.append(RemeshRecord(**record))
 
+    def rebuild(self) -> None:
+        """Build everything anew on the same triangles, as after a remesh. Collective."""
+        self.accept()
+        arrays, n = self._arrays, len(self._arrays.points)
+        transfer = Transfer.identity(n) if n else None
+        self._go_on(arrays, self._sizes, transfer, self.domain.layers)
+
     def remove(self, group: str, exposed: str) -> None:
         """Take a group out of the ground between two stages, as in an excavation. Collective.
 

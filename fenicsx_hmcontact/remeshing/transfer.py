@@ -49,7 +49,9 @@ class Transfer:
             Values of the new nodes; shape (n_new, ...).
         """
         inserted = self.weights @ values.reshape(len(values), -1)
-        return np.concatenate([values[self.kept], inserted.reshape(-1, *values.shape[1:])])
+        return np.concatenate(
+            [values[self.kept], inserted.reshape(len(inserted), *values.shape[1:])]
+        )
 
     @property
     def matrix(self) -> Any:

@@ -64,9 +64,7 @@ def flip_to_delaunay(points: Floats, cells: Ints, edges: Edges) -> tuple[Ints, i
     return cells, _legalise_all(points, cells, beyond, fixed)
 
 
-def triangulate(
-    points: Floats, edges: Ints, groups: npt.ArrayLike = 0
-) -> tuple[Ints, Ints, float]:
+def triangulate(points: Floats, edges: Ints, groups: npt.ArrayLike = 0) -> tuple[Ints, Ints, float]:
     """Triangulate nodes within a boundary from scratch: a constrained Delaunay triangulation.
 
     Needed where a triangle is inverted, as flips need proper triangles to begin with. No angle is
@@ -151,11 +149,10 @@ def verify(points: Floats, cells: Ints, groups: Ints, edges: Ints, edge_groups: 
     used[cells] = True
     if not used.all():
         raise TriangulationError(f"{_node(points, np.argmin(used))} lies outside of its body")
-    size = areas(points, cells)
-    if size.min() <= 0.0:
-        raise TriangulationError(
-            f"a triangle at {_node(points, cells[np.argmin(size), 0])} is flat"
-        )
+    size, angle = areas(points, cells), angles(points, cells)
+    if angle.min() <= 0.0:
+        at = cells.ravel()[np.argmin(angle)]
+        raise TriangulationError(f"a triangle at {_node(points, at)} is flat")
     area = enclosed_area(points, edges)
     round_off = np.finfo(float).eps * float((np.ptp(points, axis=0) ** 2).sum())
     if abs(size.sum() - area) > AREA_ERROR * area + round_off:
@@ -163,7 +160,7 @@ def verify(points: Floats, cells: Ints, groups: Ints, edges: Ints, edge_groups: 
     made, made_groups = directed_edges(cells, groups, Edges.of(cells, groups, edges[:0]))
     if not np.array_equal(_sorted_rows(made, made_groups), _sorted_rows(edges, edge_groups)):
         raise TriangulationError("the boundary of the triangles is not the one given")
-    return float(angles(points, cells).min())
+    return float(angle.min())
 
 
 def _sorted_rows(edges: Ints, groups: Ints) -> Ints:

@@ -234,6 +234,68 @@ def test_a_step_that_failed_leaves_all_as_it_was():
     assert np.array_equal(body.u.x.array, body.u_n.x.array)
 
 
+def pressed(kinematics="small", measure=hm.dc):
+    """A body at the start of a step in the plastic range, and the tangent that it came with."""
+    body = Body(TRESCA, measure, kinematics)
+    for step in (1, 2, 3):
+        body.push(0.005 * step, -0.02 * step)
+        body.problem.solve()
+        tangent = body.stress.end.tangent
+        if kinematics == "finite":
+            body.problem.move_mesh(body.u, body.u_n)
+        else:
+            body.u_n.x.array[:] = body.u.x.array
+    body.push(0.02, -0.08)
+    return body, tangent
+
+
+@pytest.mark.parametrize(("kinematics", "measure"), [("small", hm.dc), ("finite", FULL)])
+def test_a_step_begins_with_the_tangent_that_the_last_one_ended_on(kinematics, measure):
+    """At rest all points are elastic: the law itself would give another one."""
+    body, tangent = pressed(kinematics, measure)
+    stress, history = body.stress.end.stress, body.stress.end.history
+    elastic = Body(ELASTIC).stress
+    elastic.update()
+    stiffness = elastic.end.tangent[0, :, :3]
+    plastic = abs(tangent[:, :, :3] - stiffness).max(axis=(1, 2)) > 0.1
+    assert body.mesh.comm.allreduce(plastic.sum()) > 0.2 * 4 * len(POINTS)
+    body.problem.residual()
+    assert np.array_equal(body.stress.end.tangent, tangent)
+    assert np.array_equal(body.stress.end.stress, stress)
+    assert np.array_equal(body.stress.end.history, history)
+
+
+def test_the_last_tangent_saves_iterations():
+    """Against the same state given to another body, which begins as elastic points do."""
+    body, _ = pressed()
+    other = Body(TRESCA)
+    for f in ("u", "u_n"):
+        getattr(other, f).x.array[:] = getattr(body, f).x.array
+    other.push(0.02, -0.08)
+    other.stress.set_stress(lambda x: body.stress.values().reshape(-1, 4).T)
+    other.stress.set_history("kappa", lambda x: body.stress.history("kappa").ravel())
+    iterations = [b.problem.solve().iterations for b in (body, other)]
+    assert iterations[0] < iterations[1]
+    difference = body.globally(body.u.x.array) - other.globally(other.u.x.array)
+    assert abs(difference).max() < 1e-9
+
+
+@pytest.mark.parametrize(("kinematics", "measure"), [("small", hm.dc), ("finite", FULL)])
+def test_a_rejected_step_brings_the_tangent_back(kinematics, measure):
+    body, tangent = pressed(kinematics, measure)
+    before = body.problem.save()
+    first = body.problem.solve()
+    assert not np.array_equal(body.stress.end.tangent, tangent)
+    end = body.u.x.array.copy()
+    body.problem.restore(before)
+    assert np.array_equal(body.stress.functions[1].values.ravel(), tangent.ravel())
+    body.problem.residual()
+    assert np.array_equal(body.stress.end.tangent, tangent)
+    body.problem.restore(before)
+    assert body.problem.solve().history == first.history
+    assert np.array_equal(body.u.x.array, end)
+
+
 def test_a_start_that_has_not_followed_is_refused():
     body = Body(ELASTIC)
     body.push(0.0, -0.01)

@@ -76,6 +76,23 @@ def loop(first, n):
     return np.column_stack([nodes, np.roll(nodes, -1)])
 
 
+def star(rng, n, roughness):
+    """Corners of a polygon around the origin, whose radii fall below one by up to ``roughness``."""
+    angle = (np.arange(n) + rng.uniform(0.1, 0.9, n)) * 2 * np.pi / n
+    radius = 1.0 - roughness * rng.uniform(size=n)
+    return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def inside(points, outline):
+    """Whether points are in a polygon: a ray to the right crosses it an odd number of times."""
+    odd = np.zeros(len(points), bool)
+    for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        across = (a[1] > points[:, 1]) != (b[1] > points[:, 1])
+        at = a[0] + (points[:, 1] - a[1]) / np.where(across, b[1] - a[1], 1.0) * (b[0] - a[0])
+        odd ^= across & (points[:, 0] < at)
+    return odd
+
+
 def flow_past_footing(arrays, sweeps=8):
     """Velocity of a nearly incompressible, perfectly plastic ground under a base that sinks.
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from fenicsx_hmcontact.remeshing import TriangulationError, areas, triangulate, verify
+from fenicsx_hmcontact.remeshing import TriangulationError, angles, areas, triangulate, verify
 from fenicsx_hmcontact.remeshing.edges import Edges
 from fenicsx_hmcontact.remeshing.triangulation import (
     canonical,
@@ -13,12 +13,13 @@ from fenicsx_hmcontact.remeshing.triangulation import (
     enclosed_area,
     flip_to_delaunay,
 )
-from tests.remeshing.helpers import block, loop
+from tests.remeshing.helpers import block, inside, loop, star
 
 
 def fills(points, edges, groups=0):
     """Triangulate, and check what `verify` checks by other means."""
-    cells, cell_groups = triangulate(points, edges, groups)
+    cells, cell_groups, smallest = triangulate(points, edges, groups)
+    assert smallest == angles(points, cells).min()
     size = areas(points, cells)
     assert size.min() > 0.0
     round_off = 1e-15 * np.ptp(points, axis=0).max() ** 2
@@ -30,22 +31,6 @@ def fills(points, edges, groups=0):
     given = {tuple(e) for e in edges}
     assert alone == {e for e in given if e[::-1] not in given}
     return cells, cell_groups
-
-
-def star(rng, n, roughness):
-    angle = (np.arange(n) + rng.uniform(0.1, 0.9, n)) * 2 * np.pi / n
-    radius = 1.0 - roughness * rng.uniform(size=n)
-    return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def inside(points, outline):
-    """Whether points are in a polygon: a ray to the right crosses it an odd number of times."""
-    odd = np.zeros(len(points), bool)
-    for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        across = (a[1] > points[:, 1]) != (b[1] > points[:, 1])
-        at = a[0] + (points[:, 1] - a[1]) / np.where(across, b[1] - a[1], 1.0) * (b[0] - a[0])
-        odd ^= across & (points[:, 0] < at)
-    return odd
 
 
 def test_a_convex_cloud_gets_the_triangles_of_scipy():
@@ -103,9 +88,11 @@ def test_the_faces_of_a_slit_are_not_connected(gap):
     fills(points, np.vstack([loop(0, 4), loop(4, len(lens))]))
 
 
-def test_boundary_nodes_that_nearly_coincide_are_kept():
+def test_boundary_nodes_that_nearly_coincide_are_kept_and_seen():
     points = np.array([[0, 0], [1, 0], [1, 1], [0.5 + 1e-9, 1], [0.5, 1], [0, 1], [0.5, 0.4]])
     fills(points, loop(0, 6))
+    *_, smallest = triangulate(points, loop(0, 6))
+    assert smallest == pytest.approx(np.degrees(1e-9 / 0.6), rel=1e-6)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e6])
@@ -143,7 +130,7 @@ def test_flips_and_scratch_agree():
     edges = Edges.of(arrays.cells, groups, arrays.facets)
     flipped, flips = flip_to_delaunay(x, arrays.cells, edges)
     assert flips > 100
-    scratch, _ = triangulate(x, directed_edges(arrays.cells, groups, edges)[0])
+    scratch, *_ = triangulate(x, directed_edges(arrays.cells, groups, edges)[0])
     np.testing.assert_array_equal(canonical(flipped, groups)[0], scratch)
 
 
@@ -161,6 +148,7 @@ SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
         (np.vstack([SQUARE, [[0.5, 0.0]]]), loop(0, 4), "node 4 .* lies on the edge .* 0 and 1"),
         (np.vstack([SQUARE, [[1.5, 0.5]]]), loop(0, 4), "node 4 .* lies outside of its body"),
         (SQUARE, loop(0, 4)[:3], "encloses|folded or open"),
+        (SQUARE, np.vstack([loop(0, 4), [[2, 2]]]), "an edge runs from node 2 .* to itself"),
         (SQUARE, np.vstack([loop(0, 4), [[0, 1]]]), "encloses|occurs twice"),
     ],
 )
@@ -186,9 +174,9 @@ def test_a_hole_that_cuts_the_outline_is_refused():
 
 
 def test_verify_refuses_other_triangles():
-    cells, groups = triangulate(SQUARE, loop(0, 4))
+    cells, groups, _ = triangulate(SQUARE, loop(0, 4))
     edges, beside = loop(0, 4), np.zeros(4, np.int64)
-    verify(SQUARE, cells, groups, edges, beside)
+    assert verify(SQUARE, cells, groups, edges, beside) == pytest.approx(45.0, rel=1e-14)
     with pytest.raises(TriangulationError, match="fill"):
         verify(SQUARE, np.array([[0, 1, 2], [0, 2, 3], [0, 1, 3]]), groups, edges, beside)
     with pytest.raises(TriangulationError, match="flat"):

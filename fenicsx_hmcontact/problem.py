@@ -249,8 +249,8 @@ class ContactProblem:
     def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
         """Start from what `nodal_state` returned, on this mesh or another. Collective.
 
-        What does not change the answer but its last digits, as the order of elimination, begins
-        anew: two problems with the same state go on alike to the last bit.
+        What decides on the last digits alone, as the order of elimination, begins anew: two
+        problems with the same state go on alike.
 
         Args:
             states: The states at the nodes of this mesh, which stands at the start of a step.
@@ -268,7 +268,8 @@ class ContactProblem:
             coupling.set_nodal_states(secondary, primary, current)
         self._place(current)
         self._tangent_inputs = None
-        self._system = self._new_system()
+        if self._system.linear is not None:
+            self._system = self._new_system()
 
     def gap_volumes(self) -> dict[str, float]:
         """Volume of the gap of each sliding pair with water, at the start of the step [m^3/m]."""

@@ -220,7 +220,8 @@ class Simulation(TimeStepping):
         """Write all that the run needs to go on, to one file. Collective.
 
         The last step is accepted first. Nothing that a run leaves in its solvers is written; this
-        run forgets it too, so that both go on alike to the last bit on as many ranks.
+        run forgets it too, so that both go on alike: to the last bit on one rank; on several, where
+        MUMPS adds up as messages come in, to round-off.
 
         Args:
             path: The file; one of that name is replaced once the new one is whole.

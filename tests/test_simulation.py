@@ -130,8 +130,8 @@ def test_built_anew_on_the_same_mesh_nothing_changes(comm, porous):
 def test_restart_goes_on_to_the_last_bit(comm, shared_tmp_path):
     """A run that writes a checkpoint and one begun from it give the same figures.
 
-    From three ranks on MUMPS deals its work out as ranks are free: there the last digits differ
-    between two runs of anything.
+    On several ranks MUMPS adds up as messages come in: the last digits may differ between any two
+    runs there, and only what the file holds is the same to the last bit.
     """
     file = shared_tmp_path / "run.checkpoint"
     options = hm.Remeshing(every=3)
@@ -147,7 +147,7 @@ def test_restart_goes_on_to_the_last_bit(comm, shared_tmp_path):
     ]
     assert same(nodes_of(again), held)
     goes_on = forces(again, 8.0)
-    if comm.size <= 2:
+    if comm.size == 1:
         assert np.array_equal(goes_on, went_on)
         assert same(nodes_of(again), nodes_of(simulation))
     assert np.abs(goes_on - went_on).max() <= 1e-10 * np.abs(went_on).max()

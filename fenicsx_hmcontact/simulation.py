@@ -30,6 +30,9 @@ from .remeshing import (
 )
 from .solvers import StepOptions, TimeStepping, TransientModel
 
+DIMENSION = 2
+"""Components of a displacement."""
+
 type Build = Callable[[Domain], TransientModel]
 """Makes the model of a run on a domain: spaces, forms, conditions and pairs."""
 
@@ -214,6 +217,27 @@ class Simulation(TimeStepping):
         self._quality = {}
         self._go_on(arrays, sizes, transfer, layers)
 
+    def reset_displacements(self) -> None:
+        """Begin a stage at the design geometry: stresses, histories and pressures stay. Collective.
+
+        The mesh goes back to where displacements were zero, as after the weight of the ground has
+        come to rest in it. The steps to come measure displacements from there.
+        """
+        self.accept()
+        arrays, n = self._arrays, len(self._arrays.points)
+        whole = gather_states(self.model.comm, self.model.nodal_state(), n)
+        moves = self.model.follow is not None
+        for name, state in whole.items():
+            if name.startswith("field ") and state.nodal["value"].shape[1] == DIMENSION:
+                if moves:
+                    points = arrays.points.copy()
+                    points[:, :DIMENSION] -= state.nodal["value"]
+                    arrays = replace(arrays, points=points)
+                state.nodal["value"][:] = 0.0
+            if name == "axes":
+                state.nodal["angle"][:] = 0.0
+        self._continue(arrays, self._sizes, self.domain.layers, whole)
+
     # --- checkpoints --------------------------------------------------------------------------
 
     def write_checkpoint(self, path: str | Path) -> None:
@@ -380,10 +404,19 @@ class Simulation(TimeStepping):
                 )
                 for name, state in whole.items()
             }
-        name = self.domain.name
-        domain = Domain.from_arrays(
-            arrays if comm.rank == 0 else None, comm, name=name, layers=layers
-        )
+        self._continue(arrays, sizes, layers, whole)
+
+    def _continue(
+        self,
+        arrays: MeshArrays,
+        sizes: npt.NDArray[np.float64],
+        layers: Mapping[str, Sequence[str]],
+        whole: dict[str, NodalState],
+    ) -> None:
+        """Build the model on another mesh, from what all its nodes hold. Collective."""
+        comm, name = self.model.comm, self.domain.name
+        mesh = arrays if comm.rank == 0 else None
+        domain = Domain.from_arrays(mesh, comm, name=name, layers=layers)
         dt = self.model.dt.value.copy()
         self.domain, self.model = domain, self._build(domain)
         self.model.dt.value = dt

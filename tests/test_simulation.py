@@ -324,6 +324,32 @@ def test_removed_group_leaves_the_rest_as_it_was(comm):
         simulation.remove("upper", "floor")
 
 
+@pytest.mark.mpi
+def test_reset_displacements_keeps_stress_and_geometry_of_the_design(comm):
+    """Ground at rest under its weight stays where it was drawn, stressed as it is."""
+    drawn = layered(comm)
+    simulation = hm.Simulation(Dug, drawn)
+    design = drawn.arrays().points
+    for _ in simulation.run(1.0, 1.0):
+        pass
+    old, sunk = nodes_of(simulation), simulation.domain.arrays().points
+    simulation.reset_displacements()
+    new = nodes_of(simulation)
+    assert comm.rank > 0 or np.abs(sunk - design).max() > 1e-3
+    assert np.allclose(simulation.domain.arrays().points, design, rtol=0.0, atol=1e-14)
+    if comm.rank == 0:
+        key = ("material 0", "stress")
+        assert np.array_equal(new[key], old[key])
+        assert not new[("field displacement", "value")].any()
+    for _ in simulation.run(2.0, 1.0):
+        pass
+    # The drawn column is longer than the sunk one by half a percent, and so heavier.
+    moved = nodes_of(simulation)
+    if comm.rank == 0:
+        u = ("field displacement", "value")
+        assert np.abs(moved[u]).max() < 0.01 * np.abs(old[u]).max()
+
+
 def test_damaged_or_foreign_files_are_refused(comm, shared_tmp_path):
     """Errors name the file and the reason, on all ranks."""
     file = shared_tmp_path / "run.checkpoint"

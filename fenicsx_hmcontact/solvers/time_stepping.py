@@ -195,7 +195,7 @@ class TransientModel:
     ) -> None:
         self.comm, self.dt, self.time, self.histories = problem.comm, dt, time, histories
         self.problem, self.previous, self.saved = problem, previous, saved
-        self._check, self._follow = check, follow
+        self._check, self.follow = check, follow
 
     def solve(self) -> NewtonResult:
         """Solve the step. Collective."""
@@ -208,8 +208,8 @@ class TransientModel:
 
     def accept(self) -> None:
         """Let the mesh follow, and copy the end of the step to the start of the next."""
-        if self._follow is not None:
-            self._follow()
+        if self.follow is not None:
+            self.follow()
         for start, end in self.previous:
             start.x.array[:] = end.x.array
 

@@ -46,7 +46,8 @@ class FreeWater:
         candidates = [n for p in self._open for n in p.numbers]
         self.numbers = np.unique(np.concatenate([np.zeros(0, np.int64), *candidates]))
         self._held = np.isin(self.numbers, held)
-        for pair in self._open:
+        # Of a dry secondary surface the ends stay sealed.
+        for pair in (p for p in self._open if p.numbers[0].size):
             pair.free_ends &= ~np.isin(pair.numbers[0], np.concatenate((shared, held)))
         self.wetted = np.zeros(len(self.numbers), bool)
 

@@ -10,6 +10,7 @@ from typing import Self
 
 from mpi4py import MPI
 
+import basix.ufl
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, geometry, has_adios2, io
@@ -125,30 +126,47 @@ class FieldWriter:
 
 def _nodal_twins(path: Path, mesh: Mesh, functions: list[fem.Function]) -> list[fem.Function]:
     """Functions of the same names that a file can hold: P1, or constant in each cell."""
+    check_names(path, functions)
+    for function in functions:
+        if function.function_space.mesh is not mesh:
+            raise ValueError(
+                f"{path}: the function {function.name!r} is on another mesh; give it a file of its "
+                "own"
+            )
+    return [_nodal_twin(function) for function in functions]
+
+
+def check_names(path: str | Path, functions: Sequence[fem.Function]) -> None:
+    """Refuse to write no function, or two of one name.
+
+    Args:
+        path: File or other place, for messages.
+        functions: Functions to write.
+
+    Raises:
+        ValueError: If there is none, or two have one name; names it.
+    """
     if not functions:
         raise ValueError(f"{path}: no function to write")
     names = [function.name for function in functions]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{path}: two functions are called {name!r}")
-    written = []
-    for function in functions:
-        space = function.function_space
-        element = space.ufl_element()
-        if space.mesh is not mesh:
-            raise ValueError(
-                f"{path}: the function {function.name!r} is on another mesh; give it a file of its "
-                "own"
-            )
-        if element.discontinuous and element.embedded_superdegree > 0:
-            raise ValueError(
-                f"{path}: the function {function.name!r} has no nodal values ({element}); "
-                "project it to P1 or to cell-wise constants"
-            )
-        family = ("DG", 0) if element.discontinuous else ("P", 1)
-        twin = fem.functionspace(mesh, (*family, space.value_shape))
-        written.append(fem.Function(twin, name=function.name))
-    return written
+
+
+def _nodal_twin(function: fem.Function) -> fem.Function:
+    """An empty function of the same name that a file can hold: P1, or constant in each cell."""
+    space = function.function_space
+    element = space.ufl_element()
+    if element.discontinuous and element.embedded_superdegree > 0:
+        raise ValueError(
+            f"the function {function.name!r} has no nodal values ({element}); "
+            "project it to P1 or to cell-wise constants"
+        )
+    family = ("DG", 0) if element.discontinuous else ("P", 1)
+    return fem.Function(
+        fem.functionspace(space.mesh, (*family, space.value_shape)), name=function.name
+    )
 
 
 class InterfaceFields:
@@ -358,32 +376,76 @@ def gather_nodal(
         ValueError: If the function is not P1.
     """
     space = function.function_space
-    mesh = space.mesh
-    nodal = fem.Function(fem.functionspace(mesh, ("P", 1, space.value_shape)))
-    if space.ufl_element() != nodal.function_space.ufl_element():
-        raise ValueError(f"the function {function.name!r} is not P1 but {space.ufl_element()}")
-    # A copy, since a part of a mixed function has its values scattered among the others.
-    nodal.interpolate(function)
-    nodes = _compat.cell_nodes(mesh)
-    dof = np.empty(len(mesh.geometry.x), dtype=np.int32)
-    dof[nodes] = nodal.function_space.dofmap.list
+    element = space.ufl_element()
+    if element != basix.ufl.element("P", "triangle", 1, shape=space.value_shape):
+        raise ValueError(f"the function {function.name!r} is not P1 but {element}")
+    gathered, values = gather_mesh(space.mesh), gather_values(function)
+    if gathered is None or values is None:
+        return None
+    nodes, points, cells = gathered
+    return points, np.searchsorted(nodes, cells), values
 
-    index = mesh.geometry.input_global_indices
-    owned_nodes = mesh.geometry.index_map().size_local
-    owned_cells = mesh.topology.index_map(2).size_local
-    components = int(np.prod(space.value_shape))
-    values = nodal.x.array.reshape(-1, components)[dof[:owned_nodes]]
+
+def gather_mesh(
+    mesh: Mesh,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64], npt.NDArray[np.int64]] | None:
+    """Collect a mesh on rank 0, in the order of its input. Collective.
+
+    Args:
+        mesh: Mesh or submesh, whose nodes have the numbers of the whole.
+
+    Returns:
+        On rank 0, whatever the number of ranks: numbers of the nodes in the input, increasing,
+        shape (N,); their points [m], shape (N, 2); triangles by numbers of nodes, shape (M, 3).
+        None on the other ranks.
+    """
+    number = mesh.geometry.input_global_indices
+    nodes = mesh.geometry.index_map().size_local
+    cells = mesh.topology.index_map(2).size_local
     parts = mesh.comm.gather(
         (
-            index[:owned_nodes],
-            mesh.geometry.x[:owned_nodes, :2],
-            values,
-            _compat.input_cell_index(mesh)[:owned_cells],
-            index[nodes[:owned_cells]],
+            number[:nodes],
+            mesh.geometry.x[:nodes, :2],
+            _compat.input_cell_index(mesh)[:cells],
+            number[_compat.cell_nodes(mesh)[:cells]],
         )
     )
     if parts is None:
         return None
-    ids, x, values, order, cells = map(np.concatenate, zip(*parts, strict=True))
-    by_node, by_cell = np.argsort(ids), np.argsort(order)
-    return x[by_node], np.searchsorted(ids[by_node], cells[by_cell]), values[by_node]
+    numbers, points, order, triangles = map(np.concatenate, zip(*parts, strict=True))
+    by_node = np.argsort(numbers)
+    return numbers[by_node], points[by_node], triangles[np.argsort(order)]
+
+
+def gather_values(function: fem.Function) -> npt.NDArray[np.float64] | None:
+    """Collect values of a function on rank 0, in the order of `gather_mesh`. Collective.
+
+    Args:
+        function: Continuous, or constant in each cell.
+
+    Returns:
+        On rank 0 values at nodes, shape (N, components), or in triangles, shape (M, components).
+        None on the other ranks.
+
+    Raises:
+        ValueError: If the function is discontinuous without being constant in each cell.
+    """
+    # A copy, since a part of a mixed function has its values scattered among the others.
+    twin = _nodal_twin(function)
+    twin.interpolate(function)
+    space = twin.function_space
+    mesh, dofs = space.mesh, space.dofmap.list
+    if space.ufl_element().discontinuous:
+        number, dof = _compat.input_cell_index(mesh), dofs[:, 0]
+        owned = mesh.topology.index_map(2).size_local
+    else:
+        number = mesh.geometry.input_global_indices
+        dof = np.empty(len(number), dtype=np.int32)
+        dof[_compat.cell_nodes(mesh)] = dofs
+        owned = mesh.geometry.index_map().size_local
+    values = twin.x.array.reshape(-1, space.dofmap.bs)[dof[:owned]]
+    parts = mesh.comm.gather((number[:owned], values))
+    if parts is None:
+        return None
+    numbers, values = map(np.concatenate, zip(*parts, strict=True))
+    return values[np.argsort(numbers)]

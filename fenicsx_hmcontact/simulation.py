@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -29,6 +30,8 @@ from .remeshing import (
     target_sizes,
 )
 from .solvers import StepOptions, TimeStepping, TransientModel
+
+_log = logging.getLogger(__name__)
 
 DIMENSION = 2
 """Components of a displacement."""
@@ -70,6 +73,19 @@ class RemeshRecord:
     histories: dict[str, tuple[float, float]]
     gap_volumes: dict[str, tuple[float, float]]
     seconds: float
+
+    def __str__(self) -> str:
+        """Say in one line what was done and why."""
+        bodies = (
+            f"{body} ({'; '.join(why)}): "
+            + ", ".join(f"{n} {word}" for word, n in self.counts[body].items() if n)
+            for body, why in self.reasons.items()
+        )
+        low, high = self.smallest_angle
+        return (
+            f"remesh after t = {self.t:g} s: {', '.join(bodies)}; {self.n_nodes} nodes, smallest "
+            f"angle {low:.3g} to {high:.3g} degrees, area {sum(self.merged.values()):+.2g} m^2"
+        )
 
 
 class Simulation(TimeStepping):
@@ -147,49 +163,43 @@ class Simulation(TimeStepping):
         if options is None:
             raise ValueError("a run without remeshing= has no options to remesh by")
         self.accept()
-        begin, arrays, layers = time.perf_counter(), self._arrays, self.domain.layers
-        results: list[Remeshed] = []
-        on_root(
-            self.model.comm,
-            lambda: results.append(
-                remesh(arrays, self._sizes, options, names=list(reasons), layers=layers)
-            ),
+        begin, comm = time.perf_counter(), self.model.comm
+        arrays, layers = self._arrays, self.domain.layers
+        result = on_root(
+            comm, lambda: remesh(arrays, self._sizes, options, names=list(reasons), layers=layers)
         )
-        result = results[0] if results else None
         if result is not None:
             self._quality |= result.quality
-        if not self.model.comm.bcast(result is not None and result.changed):
+        if not comm.bcast(result is not None and result.changed):
             return
-        known = self._known()
-        porous: list[npt.NDArray[np.bool_]] = []
-        sizes = self._sizes if result is None else result.sizes
-        new = arrays if result is None else result.arrays
-        transfer = None if result is None else result.transfer
-        self._go_on(new, sizes, transfer, layers, porous)
+        known, whole = self._known(), self._gather()
         record: dict[str, Any] = {}
         if result is not None:
-            angle = tuple(float(angles(a.points, a.cells).min()) for a in (arrays, new))
-            record = self._booked(result, porous[0]) | {
+            both = (arrays, result.arrays)
+            record = self._booked(result, _porous(whole, len(arrays.points))) | {
                 "step": self.n_steps,
                 "t": self.t,
                 "reasons": {body: list(why) for body, why in reasons.items()},
                 "counts": result.counts,
                 "unsettled": result.unsettled,
-                "n_nodes": len(new.points),
-                "smallest_angle": angle,
+                "n_nodes": len(result.arrays.points),
+                "smallest_angle": tuple(float(angles(a.points, a.cells).min()) for a in both),
             }
-        record = self.model.comm.bcast(record)
+            arrays, whole = result.arrays, _carried(whole, result.transfer)
+            self._sizes = result.sizes
+        self._continue(arrays, layers, whole)
+        record = comm.bcast(record)
         for name, after in self._known().items():
             record[name] = {key: (known[name][key], value) for key, value in after.items()}
         record["seconds"] = time.perf_counter() - begin
         self.records.append(RemeshRecord(**record))
+        if comm.rank == 0:
+            _log.info("%s", self.records[-1])
 
     def rebuild(self) -> None:
         """Build everything anew on the same triangles, as after a remesh. Collective."""
         self.accept()
-        arrays, n = self._arrays, len(self._arrays.points)
-        transfer = Transfer.identity(n) if n else None
-        self._go_on(arrays, self._sizes, transfer, self.domain.layers)
+        self._continue(self._arrays, self.domain.layers, self._gather())
 
     def remove(self, group: str, exposed: str) -> None:
         """Take a group out of the ground between two stages, as in an excavation. Collective.
@@ -208,14 +218,14 @@ class Simulation(TimeStepping):
             for body, names in self.domain.layers.items()
         }
         layers = {body: names for body, names in layers.items() if names}
-        parts: list[tuple[MeshArrays, npt.NDArray[np.int64]]] = []
-        on_root(self.model.comm, lambda: parts.append(self._arrays.without(group, tag, exposed)))
-        arrays, sizes, transfer = self._arrays, self._sizes, None
-        if parts:
-            (arrays, kept), n = parts[0], len(self._sizes)
-            sizes, transfer = sizes[kept], Transfer.subset(kept, n)
+        found = on_root(self.model.comm, lambda: self._arrays.without(group, tag, exposed))
+        arrays, whole = self._arrays, self._gather()
+        if found is not None:
+            (arrays, kept), n = found, len(arrays.points)
+            whole = _carried(whole, Transfer.subset(kept, n))
+            self._sizes = self._sizes[kept]
         self._quality = {}
-        self._go_on(arrays, sizes, transfer, layers)
+        self._continue(arrays, layers, whole)
 
     def reset_displacements(self) -> None:
         """Begin a stage at the design geometry: stresses, histories and pressures stay. Collective.
@@ -224,8 +234,7 @@ class Simulation(TimeStepping):
         come to rest in it. The steps to come measure displacements from there.
         """
         self.accept()
-        arrays, n = self._arrays, len(self._arrays.points)
-        whole = gather_states(self.model.comm, self.model.nodal_state(), n)
+        arrays, whole = self._arrays, self._gather()
         moves = self.model.follow is not None
         for name, state in whole.items():
             if name.startswith("field ") and state.nodal["value"].shape[1] == DIMENSION:
@@ -236,7 +245,7 @@ class Simulation(TimeStepping):
                 state.nodal["value"][:] = 0.0
             if name == "axes":
                 state.nodal["angle"][:] = 0.0
-        self._continue(arrays, self._sizes, self.domain.layers, whole)
+        self._continue(arrays, self.domain.layers, whole)
 
     # --- checkpoints --------------------------------------------------------------------------
 
@@ -256,8 +265,7 @@ class Simulation(TimeStepping):
         """
         self.accept()
         states = self.model.nodal_state()
-        whole = gather_states(self.model.comm, states, len(self._arrays.points))
-        mesh = self._arrays
+        whole, mesh = self._gather(states), self._arrays
         arrays = {f"mesh {name}": getattr(mesh, name) for name in _MESH}
         arrays |= {"sizes": self._sizes}
         arrays |= {
@@ -304,13 +312,12 @@ class Simulation(TimeStepping):
             CheckpointError: On all ranks, if it is no checkpoint, damaged, of another version, or
                 that of another model.
         """
-        found: list[tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]] = []
-        on_root(comm, lambda: found.append(read_checkpoint(path)))
-        description = comm.bcast(found[0][1] if found else None)
-        mesh, whole = None, {}
-        sizes = np.empty(0)
+        found = on_root(comm, lambda: read_checkpoint(path))
+        arrays, description = comm.bcast(({}, found[1]) if found else None)
+        mesh, whole, sizes = None, {}, np.empty(0)
         if found:
-            arrays, sizes = found[0][0], found[0][0]["sizes"]
+            arrays = found[0]
+            sizes = arrays["sizes"]
             mesh = MeshArrays(
                 **{name: arrays[f"mesh {name}"] for name in _MESH},
                 bodies=description["bodies"],
@@ -342,6 +349,23 @@ class Simulation(TimeStepping):
 
     # --- what it is made of -------------------------------------------------------------------
 
+    def report(self) -> dict[str, Any]:
+        """What remeshing did and what drifted, for the report of a run. Collective."""
+        records = self.records
+        return {
+            "remeshing": None if self.remeshing is None else self.remeshing.described(),
+            "remeshes": len(records),
+            "remeshing_seconds": sum(record.seconds for record in records),
+            "smallest_angle": min((r.smallest_angle[1] for r in records), default=None),
+            "merged_area": sum(sum(record.merged.values()) for record in records),
+            "merged_area_total": sum(record.merged_total for record in records),
+            "merged_water": sum(record.merged_water for record in records),
+            "gap_volume_change": sum(
+                after - before for r in records for before, after in r.gap_volumes.values()
+            ),
+            "history_drifts": self.drifts(),
+        }
+
     def drifts(self) -> dict[str, float]:
         """How far the integral of each history is from what the steps booked, relative. Collective.
 
@@ -354,73 +378,47 @@ class Simulation(TimeStepping):
 
     def _due(self, before: MeshArrays) -> dict[str, list[str]]:
         """Why bodies call for a remesh after the last step. Collective."""
-        found: dict[str, list[str]] = {}
         options, now = self.remeshing, self._arrays
         assert options is not None
 
-        def look() -> None:
+        def look() -> dict[str, list[str]]:
             ratios = areas(now.points, now.cells) / areas(before.points, before.cells)
-            found.update(
-                due(
-                    now,
-                    self._sizes,
-                    options,
-                    step=self.n_steps,
-                    after_last=self._quality,
-                    area_ratios=ratios,
-                    layers=self.domain.layers,
-                )
+            return due(
+                now,
+                self._sizes,
+                options,
+                step=self.n_steps,
+                after_last=self._quality,
+                area_ratios=ratios,
+                layers=self.domain.layers,
             )
 
-        on_root(self.model.comm, look)
-        return self.model.comm.bcast(found)
+        comm = self.model.comm
+        found: dict[str, list[str]] = comm.bcast(on_root(comm, look))
+        return found
 
-    def _go_on(
-        self,
-        arrays: MeshArrays,
-        sizes: npt.NDArray[np.float64],
-        transfer: Transfer | None,
-        layers: Mapping[str, Sequence[str]],
-        porous: list[npt.NDArray[np.bool_]] | None = None,
-    ) -> None:
-        """Build the model on another mesh, and carry over what the nodes know. Collective.
-
-        Args:
-            arrays: The new mesh, on rank 0.
-            sizes: Target size of its nodes, on rank 0.
-            transfer: From the old nodes to the new ones, on rank 0.
-            layers: Bodies of several groups.
-            porous: Receives which old nodes have a pore pressure, on rank 0.
-        """
-        comm, n = self.model.comm, len(self._arrays.points)
-        whole = gather_states(comm, self.model.nodal_state(), n)
-        if transfer is not None:
-            if porous is not None:
-                porous.append(_porous(whole, n))
-            everywhere = np.arange(len(arrays.points))
-            whole = {
-                name: NodalState(
-                    everywhere, {k: transfer(v) for k, v in state.nodal.items()}, state.values
-                )
-                for name, state in whole.items()
-            }
-        self._continue(arrays, sizes, layers, whole)
+    def _gather(self, states: Mapping[str, NodalState] | None = None) -> dict[str, NodalState]:
+        """What all nodes hold, on rank 0. Collective."""
+        states = self.model.nodal_state() if states is None else states
+        return gather_states(self.model.comm, states, len(self._arrays.points))
 
     def _continue(
-        self,
-        arrays: MeshArrays,
-        sizes: npt.NDArray[np.float64],
-        layers: Mapping[str, Sequence[str]],
-        whole: dict[str, NodalState],
+        self, arrays: MeshArrays, layers: Mapping[str, Sequence[str]], whole: dict[str, NodalState]
     ) -> None:
-        """Build the model on another mesh, from what all its nodes hold. Collective."""
+        """Build the model on another mesh, from what all its nodes hold. Collective.
+
+        Args:
+            arrays: The mesh, on rank 0.
+            layers: Its bodies of several groups.
+            whole: State of its nodes, on rank 0.
+        """
         comm, name = self.model.comm, self.domain.name
         mesh = arrays if comm.rank == 0 else None
         domain = Domain.from_arrays(mesh, comm, name=name, layers=layers)
         dt = self.model.dt.value.copy()
         self.domain, self.model = domain, self._build(domain)
         self.model.dt.value = dt
-        self._arrays, self._sizes = domain.arrays(), sizes
+        self._arrays = domain.arrays()
         self._take_over(whole)
 
     def _take_over(self, whole: dict[str, NodalState]) -> None:
@@ -452,6 +450,18 @@ class Simulation(TimeStepping):
 
 
 _MESH = tuple(f.name for f in fields(MeshArrays) if f.name not in ("bodies", "surfaces"))
+
+
+def _carried(whole: Mapping[str, NodalState], transfer: Transfer) -> dict[str, NodalState]:
+    """What the nodes hold after some have come and gone."""
+    return {
+        name: NodalState(
+            np.arange(len(transfer.kept) + transfer.weights.shape[0]),
+            {key: transfer(values) for key, values in state.nodal.items()},
+            state.values,
+        )
+        for name, state in whole.items()
+    }
 
 
 def _porous(whole: Mapping[str, NodalState], n: int) -> npt.NDArray[np.bool_]:

@@ -9,12 +9,15 @@ from collections.abc import Callable
 from mpi4py import MPI
 
 
-def on_root(comm: MPI.Comm, action: Callable[[], object]) -> None:
+def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T | None:
     """Run an action on rank 0 alone, and raise its error on every rank. Collective.
 
     Args:
         comm: Communicator.
         action: What rank 0 does: write a file, draw a figure. It must not be collective itself.
+
+    Returns:
+        What the action returns on rank 0, None on the others.
 
     Raises:
         Exception: What the action raised. Where it cannot be sent, the other ranks raise a
@@ -22,9 +25,10 @@ def on_root(comm: MPI.Comm, action: Callable[[], object]) -> None:
     """
     raised: Exception | None = None
     shared: Exception | None = None
+    result: T | None = None
     if comm.rank == 0:
         try:
-            action()
+            result = action()
         except Exception as error:
             raised = error
             shared = _sendable(error)
@@ -33,6 +37,7 @@ def on_root(comm: MPI.Comm, action: Callable[[], object]) -> None:
         raise raised
     if shared is not None:
         raise shared
+    return result
 
 
 def _sendable(error: Exception) -> Exception:

@@ -43,6 +43,9 @@ from .poromechanics import (  # noqa: E402
     water_balance,
 )
 from .problem import ContactProblem  # noqa: E402
+from .remeshing import Remeshing  # noqa: E402
+from .scene import Scene, SceneModel  # noqa: E402
+from .simulation import Simulation  # noqa: E402
 from .smoothing import (  # noqa: E402
     create_node_cells,
     dc,
@@ -80,8 +83,12 @@ __all__ = [
     "MortarOptions",
     "NewtonOptions",
     "NodeState",
+    "Remeshing",
     "ResidualAperture",
     "ReturnMapping",
+    "Scene",
+    "SceneModel",
+    "Simulation",
     "SingularSystemError",
     "StepOptions",
     "StepRejected",

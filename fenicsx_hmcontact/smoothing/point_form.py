@@ -291,7 +291,8 @@ def point_expression(expressions: Sequence[Expr], measure: ufl.Measure) -> Point
 def unite_subdomains(form: Form) -> Form:
     """Undo what UFL makes of dc((1, 2)), one integral an id: a node cell may lie in both.
 
-    Such integrals share one integrand, the same object, as long as no derivative is taken.
+    Such integrals have equal integrands as long as no derivative is taken; signs and blocks of
+    forms make copies of them.
     """
     united: list[tuple[Integral, list[int]]] = []
     for integral in form.integrals():
@@ -300,7 +301,7 @@ def unite_subdomains(form: Form) -> Form:
             ids = list(subdomain_ids(integral.subdomain_id()))
         for other, its_ids in united if ids else ():
             if (
-                other.integrand() is integral.integrand()
+                other.integrand() == integral.integrand()
                 and other.subdomain_data() is integral.subdomain_data()
                 and other.metadata() == integral.metadata()
                 and its_ids

@@ -37,6 +37,9 @@ from .solvers import (
 )
 from .solvers.condition import condition_number
 
+SIDES = "secondary", "primary"
+"""Surfaces of a pair."""
+
 RUNAWAY = 10.0
 """Strain in a step that is none: beside such a change any residual of bounded forces is small."""
 
@@ -236,14 +239,14 @@ class ContactProblem:
             f"field {name}": function_state(u)
             for name, u in zip(self.field_names, self.unknowns, strict=True)
         }
-        for i, stress in enumerate(self._stresses):
-            states[f"material {i}"] = stress.nodal_state()
+        for name, stress in self._named("material", self._stresses).items():
+            states[name] = stress.nodal_state()
         if self.node_cells is not None:
             angles = {"angle": self.node_cells.angles.copy()}
             states["axes"] = NodalState(self.node_cells.input_nodes, angles)
-        for i, coupling in enumerate(self._sliding):
-            sides = zip(("secondary", "primary"), coupling.nodal_states(), strict=True)
-            states |= {f"pair {i} {side}": state for side, state in sides}
+        for name, coupling in self._named("pair", self._sliding).items():
+            sides = zip(SIDES, coupling.nodal_states(), strict=True)
+            states |= {f"{name}, {side}": state for side, state in sides}
         return states
 
     def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
@@ -257,14 +260,14 @@ class ContactProblem:
         """
         for name, u in zip(self.field_names, self.unknowns, strict=True):
             set_function(u, states[f"field {name}"])
-        for i, stress in enumerate(self._stresses):
-            stress.set_nodal_state(states[f"material {i}"])
+        for name, stress in self._named("material", self._stresses).items():
+            stress.set_nodal_state(states[name])
         if self.node_cells is not None:
             self.node_cells.angles[:] = states["axes"].nodal["angle"]
             self.node_cells.follow()
         current = self._current()
-        for i, coupling in enumerate(self._sliding):
-            secondary, primary = (states[f"pair {i} {side}"] for side in ("secondary", "primary"))
+        for name, coupling in self._named("pair", self._sliding).items():
+            secondary, primary = (states[f"{name}, {side}"] for side in SIDES)
             coupling.set_nodal_states(secondary, primary, current)
         self._place(current)
         self._tangent_inputs = None
@@ -397,6 +400,15 @@ class ContactProblem:
             )
 
     # --- building ---------------------------------------------------------------------------
+
+    @staticmethod
+    def _named[P: (MaterialStress, SlidingCoupling)](kind: str, parts: list[P]) -> dict[str, P]:
+        """Materials or pairs by their names, numbered where these repeat."""
+        names = [p.name if isinstance(p, MaterialStress) else p.pair.name for p in parts]
+        return {
+            f"{kind} {name}" + (f" {i}" if names.count(name) > 1 else ""): part
+            for i, (name, part) in enumerate(zip(names, parts, strict=True))
+        }
 
     def _new_system(self) -> CondensedMatrix:
         """The matrix that is solved with, not laid out yet."""

@@ -336,6 +336,12 @@ class Simulation(TimeStepping):
             mesh, comm, name=description["name"], layers=description["layers"]
         )
         run = cls(build, domain, remeshing, options=options)
+        known, wanted = description["values"], run.model.nodal_state()
+        if set(known) != set(wanted):
+            raise CheckpointError(
+                f"{path} is that of another model, with {', '.join(known)}; this one has "
+                f"{', '.join(wanted)}"
+            )
         try:
             run._take_over(whole)
         except ValueError as error:

@@ -2,6 +2,7 @@
 """Scenes: the same answers as models written by hand, and what is refused."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -644,3 +645,64 @@ def test_page_of_the_manual_runs(comm):
     assert names["water"] == pytest.approx(1.1e-4, rel=0.1)
     exec(second, names)
     assert names["scene"].simulation.t == 8000.0
+
+
+@pytest.mark.mpi
+def test_stages_of_an_excavation(comm):
+    """Weight comes to rest, the design geometry is restored, and the upper layer dug off."""
+    arrays = stack(comm, (4,), rows=8).arrays()
+    if comm.rank == 0:
+        high = arrays.points[arrays.cells, 1].mean(axis=1) > 0.5
+        groups, bodies = np.where(high, 2, 1).astype(np.int32), {"lower": 1, "upper": 2}
+        arrays = replace(arrays, cell_groups=groups, bodies=bodies)
+    layers = {"soil": ["lower", "upper"]}
+    mine = arrays if comm.rank == 0 else None
+    scene = hm.Scene(hm.Domain.from_arrays(mine, comm, name="column", layers=layers))
+    law = hm.LinearElastic(1e6, 0.2)
+    scene.body("soil", law, permeability=1e-6, unit_weight=2e4)
+    scene.gravity()
+    scene.fix("bottom_0", "y")
+    for side in ("left_0", "right_0"):
+        scene.fix(side, "x")
+    scene.drain("top_0", level=1.0)
+    with pytest.raises(RuntimeError, match="remove comes after the first run"):
+        scene.remove("upper", "floor")
+    for _ in scene.run(1e9, 1e9, kinematics="finite"):
+        pass
+    scene.reset_displacements(pressure={"soil": lambda x: 1e4 * (1.0 - x[1])})
+    assert np.abs(scene.model.u.x.array).max(initial=0.0) == 0.0
+    scene.remove("upper", "floor")
+    scene.drain("floor", level=1.0)
+    scene.load("floor", pressure=5e3)
+    for _ in scene.run(2e9, 1e9):
+        pass
+    # What the effective weight of half a metre pressed together springs back.
+    heave = 0.5 * 1e4 * 0.5 / law.oedometric_modulus
+    u = scene.model.u.x.array[1::2]
+    assert comm.allreduce(float(u.max(initial=0.0)), MPI.MAX) == pytest.approx(heave, rel=0.02)
+    assert set(scene.domain.surfaces) == {"bottom_0", "left_0", "right_0", "floor"}
+
+
+@pytest.mark.mpi
+def test_scene_goes_on_from_a_checkpoint(comm, shared_tmp_path):
+    """A scene stopped and restarted gives the figures of one that went on."""
+
+    def scene():
+        result = hm.Scene(stack(comm, (4,), rows=4))
+        result.body("block_0", hm.Tresca(E=1e6, nu=0.3, c=3e4), permeability=1e-6)
+        result.fix("bottom_0", "xy")
+        result.move("top_0", x=0.0, y=lambda t: -1e-3 * t)
+        result.drain("top_0")
+        return result
+
+    one, file = scene(), shared_tmp_path / "scene.checkpoint"
+    for _ in one.run(3.0, 1.0, kinematics="finite", remesh=hm.Remeshing()):
+        pass
+    one.write_checkpoint(file)
+    went_on = [one.model.force("top_0") for _ in one.run(5.0, 1.0)]
+    other = scene()
+    other.restart(file, kinematics="finite", remesh=hm.Remeshing())
+    again = [other.model.force("top_0") for _ in other.run(5.0, 1.0)]
+    assert np.allclose(again, went_on, rtol=1e-10)
+    with pytest.raises(RuntimeError, match="before the first run"):
+        other.restart(file)

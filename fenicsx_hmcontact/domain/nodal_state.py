@@ -132,7 +132,7 @@ def scatter_states(
 
 def _mismatch(whole: Mapping[str, NodalState], states: Mapping[str, NodalState]) -> str:
     """Why states do not fit a model; empty if they do."""
-    if set(whole) != set(states):
+    if not set(states) <= set(whole):
         return f"the state is that of {_listed(whole)}, the model has {_listed(states)}"
     for name, state in states.items():
         shapes, known = (

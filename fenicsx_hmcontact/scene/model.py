@@ -24,7 +24,7 @@ from ..problem import ContactProblem
 from ..smoothing import Smoothing, cells_of, node_cells_measure
 from ..solvers import NewtonOptions, TransientModel
 from ..solvers.time_stepping import History
-from .statements import Contact, Float, Prescribed, Statements, at_points
+from .statements import Contact, Float, InSpace, Prescribed, Statements, at_points
 
 
 @dataclass(frozen=True)
@@ -378,10 +378,19 @@ class SceneModel(TransientModel):
         """Effective stresses and pore pressures to start from."""
         for name, stress in self._said.stresses.items():
             self.stresses[name].set_stress(stress)
+        self.set_pressure(self._said.pressures)
+
+    def set_pressure(self, pressures: Mapping[str, InSpace | float]) -> None:
+        """Give porous bodies a pore pressure to start from.
+
+        Args:
+            pressures: By body, a number or from coordinates [m], shape (3, n), to pressures [Pa],
+                shape (n,).
+        """
         if self.p is None or self.p_n is None or self.porous is None:
             return
         tags = self.porous.cell_tags
-        for name, pressure in self._said.pressures.items():
+        for name, pressure in pressures.items():
             words = f"the initial pore pressure of body '{name}'"
             cells = tags.indices[np.isin(tags.values, self._tags(name))]
             self.p.interpolate(partial(at_points, pressure, words), cells0=cells)

@@ -18,6 +18,7 @@ from ..contact import ContactPair
 from ..domain import Domain
 from ..materials import Material
 from ..materials.kinematics import Kinematics
+from ..output.root import on_root
 from ..remeshing import Remeshing
 from ..simulation import Simulation
 from ..smoothing import Smoothing
@@ -454,6 +455,78 @@ class Scene:
         """Say in a few lines what the scene contains."""
         strain = None if self.simulation is None else self._options.kinematics
         return describe(self._said, self.domain, strain)
+
+    # --- stages -----------------------------------------------------------------------------
+
+    def remove(self, group: str, exposed: str) -> None:
+        """Take a body group out between two runs, as in an excavation. Collective.
+
+        What was stated about surfaces that go with it is taken back. The surface that is laid bare
+        can be drained, loaded or supported from then on.
+
+        Args:
+            group: A layer of a body, or a whole body.
+            exposed: Name of the surface that is laid bare; a new one, or one there is.
+
+        Raises:
+            RuntimeError: If the scene has not been run.
+            ValueError: If there is no such group, or nothing would be left.
+        """
+        simulation, tag = self._running("remove"), self.domain.body(group)
+        comm = self.model.comm
+        arrays = self.domain.arrays()
+        found = on_root(comm, lambda: arrays.without(group, tag, exposed)[0].surfaces)
+        gone = set(self.domain.surfaces) - set(comm.bcast(found))
+        self._said.forget(group, gone)
+        simulation.remove(group, exposed)
+
+    def reset_displacements(self, pressure: Mapping[str, InSpace | float] | None = None) -> None:
+        """Go back to the design geometry between two runs; stresses stay. Collective.
+
+        Args:
+            pressure: Pore pressures of bodies from there on, as `initial_pressure`; they stay as
+                they are in bodies that are not named.
+
+        Raises:
+            RuntimeError: If the scene has not been run.
+        """
+        self._running("reset_displacements").reset_displacements()
+        if pressure:
+            self.model.set_pressure(pressure)
+
+    def write_checkpoint(self, path: str | Path) -> None:
+        """Write all that the run needs to go on, see `Simulation.write_checkpoint`. Collective."""
+        self._running("write_checkpoint").write_checkpoint(path)
+
+    def restart(self, path: str | Path, **options: Any) -> None:
+        """Take the place of the first run by a checkpoint of the same scene. Collective.
+
+        Args:
+            path: The file; written on any number of ranks.
+            options: Those of `run` but times and dt, as of the run that wrote it.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            CheckpointError: If the run cannot go on from it, see `Simulation.restart`.
+            RuntimeError: If the scene has been run.
+        """
+        if self.simulation is not None:
+            raise RuntimeError("restart comes before the first run")
+        remesh, steps = options.pop("remesh", None), options.pop("steps", None)
+        self._options = self._changed(**options)
+        self.simulation = Simulation.restart(
+            path,
+            lambda domain: self._build(domain, self._options),
+            self._domain.mesh.comm,
+            self._kept(remesh, self._options),
+            options=steps or StepOptions(),
+        )
+
+    def _running(self, what: str) -> Simulation:
+        """The simulation, for what comes after the first run."""
+        if self.simulation is None:
+            raise RuntimeError(f"{what} comes after the first run")
+        return self.simulation
 
     # --- what it is made of -------------------------------------------------------------------
 

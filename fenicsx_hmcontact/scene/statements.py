@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -140,6 +140,19 @@ class Statements:
         else:
             table[key] = what
             self.version += 1
+
+    def forget(self, group: str, surfaces: Collection[str]) -> None:
+        """Take back what was stated about a body and surfaces that are no more."""
+        for table in (self.bodies, self.stresses, self.pressures):
+            table.pop(group, None)
+        for surface in surfaces:
+            for name in self.contacts_of(surface):
+                del self.contacts[name]
+            for component in self.components(surface):
+                del self.supports[surface, component]
+            for statements in (self.loads, self.drains, self.inflows):
+                statements.pop(surface, None)
+        self.version += 1
 
     @property
     def porous(self) -> list[str]:

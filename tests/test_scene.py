@@ -658,7 +658,7 @@ def test_stages_of_an_excavation(comm):
     layers = {"soil": ["lower", "upper"]}
     mine = arrays if comm.rank == 0 else None
     scene = hm.Scene(hm.Domain.from_arrays(mine, comm, name="column", layers=layers))
-    law = hm.LinearElastic(1e6, 0.2)
+    law = hm.LinearElastic(1e7, 0.2)
     scene.body("soil", law, permeability=1e-6, unit_weight=2e4)
     scene.gravity()
     scene.fix("bottom_0", "y")

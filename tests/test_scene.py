@@ -16,8 +16,6 @@ import fenicsx_hmcontact as hm
 from fenicsx_hmcontact.output.fields import evaluate
 from tests.models import GAMMA, LOAD, fix, integral, largest, stack
 
-pytestmark = pytest.mark.mpi
-
 SOIL = hm.LinearElastic(1e6, 0.2)
 STEEL = hm.LinearElastic(1e8, 0.2)
 K = 1e-8
@@ -163,6 +161,7 @@ def test_tensor_of_permeability_and_triangles(comm):
 # --- contact, dry bodies and free water -----------------------------------------------------------
 
 
+@pytest.mark.mpi
 @FINITE
 def test_dry_body_has_no_pressure_and_presses(comm, kinematics):
     scene = footing(comm)
@@ -185,6 +184,7 @@ def model_top(model):
     return model.comm.allreduce(float(height), MPI.MAX)
 
 
+@pytest.mark.mpi
 def test_any_number_of_ranks_gives_the_same(comm):
     points = [(0.13, 0.04), (0.5, 0.2), (0.77, 0.31), (0.3, 0.68)]
     answers = []
@@ -200,6 +200,7 @@ def test_any_number_of_ranks_gives_the_same(comm):
     assert answers[0][-1] == answers[1][-1]
 
 
+@pytest.mark.mpi
 def test_pore_pressure_on_a_part_of_a_mesh_that_moves(comm):
     """At finite strain the mesh of the porous bodies goes along with that of the whole."""
     scene = footing(comm)
@@ -244,6 +245,7 @@ def test_friction_without_strength_has_no_rows(comm):
     assert "with friction rows" in footing(comm).summary()
 
 
+@pytest.mark.mpi
 def test_drain_of_a_surface_in_contact_is_water_outside(comm):
     scene = footing(comm)
     scene.gravity()
@@ -622,6 +624,7 @@ def test_runs_that_are_refused(comm):
         run(scene, 2e3, 1e3)
 
 
+@pytest.mark.mpi
 def test_body_that_nothing_holds_is_named(comm):
     scene = hm.Scene(stack(comm, [3]))
     scene.body("block_0", SOIL)

@@ -106,3 +106,42 @@ def expand_entries(
                 new_columns[at] = -1 if left_out else column
                 at += 1
     return source, factor, new_rows, new_columns
+
+
+@njit(cache=True)
+def patch_pairs(
+    cells: Any,
+    offsets: Any,
+    nodes: Any,
+    row_dofs: Any,
+    column_dofs: Any,
+    by_rows: bool,
+    by_columns: bool,
+) -> Any:
+    """Rows and columns that node cells couple, cell by cell, repetitions included.
+
+    Args:
+        cells: The cells.
+        offsets: Where each cell's patch begins in ``nodes``.
+        nodes: Nodes of the patches, the cell's own node first.
+        row_dofs: Row of each node.
+        column_dofs: Column of each node.
+        by_rows: Whether all nodes of a patch have a row, or the cell's own alone.
+        by_columns: The same of columns.
+
+    Returns:
+        Where the pairs of each cell begin, rows and columns.
+    """
+    begins = np.zeros(cells.size + 1, np.int64)
+    for k in range(cells.size):
+        n = offsets[cells[k] + 1] - offsets[cells[k]]
+        begins[k + 1] = begins[k] + (n if by_rows else 1) * (n if by_columns else 1)
+    rows, columns = np.empty(begins[-1], np.int32), np.empty(begins[-1], np.int32)
+    at = 0
+    for cell in cells:
+        first, last = offsets[cell], offsets[cell + 1]
+        for i in range(first, last if by_rows else first + 1):
+            for j in range(first, last if by_columns else first + 1):
+                rows[at], columns[at] = row_dofs[nodes[i]], column_dofs[nodes[j]]
+                at += 1
+    return begins, rows, columns

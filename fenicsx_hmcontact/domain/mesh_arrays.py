@@ -190,9 +190,9 @@ def _twice_area(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 def _repeated(entities: npt.NDArray[np.integer]) -> tuple[int, int] | None:
     """Two entities with the same nodes, or None."""
-    _, key = np.unique(np.sort(entities, axis=1), axis=0, return_inverse=True)
-    order = np.argsort(key, kind="stable")
-    twice = np.flatnonzero(np.diff(key[order]) == 0)
+    rows = np.sort(entities, axis=1)
+    order = np.lexsort(rows.T[::-1])
+    twice = np.flatnonzero((np.diff(rows[order], axis=0) == 0).all(axis=1))
     return (int(order[twice[0]]), int(order[twice[0] + 1])) if twice.size else None
 
 

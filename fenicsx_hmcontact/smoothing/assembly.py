@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 
 from .. import _compat
 from .._kernels import assembly as kernels
+from .._kernels.sparse import patch_pairs
 from .measure import dc
 from .node_cells import NodeCells, points_per_cell
 from .point_form import (
@@ -195,17 +196,11 @@ class SmoothedTerm:
 
     def pairs(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """Block rows and columns that the term couples, cell by cell, repetitions included."""
-        offsets, nodes = self._node_cells.offsets, self._node_cells.nodes
-        test, trial = (_reaches(slots) for slots in self._form.arguments)
-        counts = np.diff(offsets)[self.cells].astype(np.int64)
-        n_rows = counts if test else np.ones_like(counts)
-        n_columns = counts if trial else np.ones_like(counts)
-        self._position_offsets = np.concatenate(([0], np.cumsum(n_rows * n_columns)))
-        cell = np.repeat(np.arange(self.cells.size), n_rows * n_columns)
-        pair = np.arange(cell.size) - self._position_offsets[cell]
-        first = offsets[self.cells].astype(np.int64)[cell]
-        rows = self._dofs[0][nodes[first + pair // n_columns[cell]]]
-        columns = self._dofs[1][nodes[first + pair % n_columns[cell]]]
+        patches = self._node_cells.offsets, self._node_cells.nodes
+        reaches = (_reaches(slots) for slots in self._form.arguments)
+        self._position_offsets, rows, columns = patch_pairs(
+            self.cells, *patches, *self._dofs, *reaches
+        )
         return rows, columns
 
     def set_positions(

@@ -421,9 +421,9 @@ class Simulation(TimeStepping):
         comm, name = self.model.comm, self.domain.name
         mesh = arrays if comm.rank == 0 else None
         domain = Domain.from_arrays(mesh, comm, name=name, layers=layers)
-        dt = self.model.dt.value.copy()
+        dt = float(self.model.dt.value)
         self.domain, self.model = domain, self._build(domain)
-        self.model.dt.value = dt
+        self._prescribe(self.t, dt)
         self._arrays = domain.arrays()
         self._take_over(whole)
 

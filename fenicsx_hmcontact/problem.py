@@ -359,6 +359,22 @@ class ContactProblem:
         result.x.array[:] = self.layout.views(values)[field]
         return result
 
+    def bulk_forces(self, unknown: fem.Function) -> fem.Function:
+        """Return the residual of one balance at the present state, without contact. Collective.
+
+        For a displacement these are the forces that hold the bodies as they are [N], beyond loads
+        and weight.
+
+        Args:
+            unknown: One of the unknowns.
+        """
+        state = self.save()
+        self.residual()
+        result = fem.Function(unknown.function_space, name=f"{unknown.name}_force")
+        result.x.array[:] = self.layout.views(self._raw)[self._field(unknown)]
+        self.restore(state)
+        return result
+
     def interface(self, pair: ContactPair) -> InterfaceState:
         """Tractions and pore pressures between the surfaces of a pair (Eq. 71). Collective.
 
@@ -659,8 +675,9 @@ class ContactProblem:
             numbers, volumes = coupling.volumes()
             mine = self.layout.owns(numbers)
             at = self.layout.owned[numbers[mine] - self.layout.first]
-            self._raw[at] += volumes[mine]
-            self._condensed[at] += volumes[mine]
+            # A node at the tip of a crack lies on both surfaces.
+            np.add.at(self._raw, at, volumes[mine])
+            np.add.at(self._condensed, at, volumes[mine])
 
     def increment(self) -> None:
         """Assemble the tangent where it has changed, solve, and add the increment. Collective."""

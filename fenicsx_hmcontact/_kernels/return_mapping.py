@@ -38,9 +38,10 @@ def _region(conditions: Any, offsets: Any, s: Any) -> Any:
 def _turn(P: Any, alike: bool, r: float, r_new: float, a: int, b: int) -> float:
     """Derivative of the shear stress across the principal axes by its trial value: r_new / r.
 
-    Where a region treats both in-plane principal stresses alike, r_new is proportional to r.
+    Where a region treats both in-plane principal stresses alike, r_new is proportional to r. It is
+    so in the limit of none, which rounding may bring into other regions.
     """
-    if alike:
+    if alike or r == 0.0:
         return 0.5 * (P[a, a] - P[a, b] - P[b, a] + P[b, b])
     return min(max(r_new / r, 0.0), 1.0)
 

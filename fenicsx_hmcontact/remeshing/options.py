@@ -40,6 +40,9 @@ class Remeshing:
         merge_turn: A node of the boundary is only removed where the boundary turns by less
             [degrees]. Lower it to keep the shape of curved surfaces.
         merge_area: A node of the boundary is only removed if this changes the area by less [h^2].
+        fill_creases: Where a surface turns in on itself, and the angle outside of the body gets
+            smaller than this, the crease is filled [degrees]; 0 never fills. Set it, to 60 say,
+            where a slide or heave rolls over the ground beside it.
         rounds: Most rounds of a remesh [-]. Raise it if a remesh reports that it has not settled.
         every: Remesh every so many steps as well [-]; None for no fixed rhythm.
         rule: A rule of your own: called with the mesh after every step, remeshes on True.
@@ -61,6 +64,7 @@ class Remeshing:
     nearest_to_boundary: float = 0.35
     merge_turn: float = 30.0
     merge_area: float = 2e-2
+    fill_creases: float = 0.0
     rounds: int = 10
     every: int | None = None
     rule: Callable[[MeshArrays], bool] | None = None
@@ -81,6 +85,10 @@ class Remeshing:
         within("fire_angle", 0.0, self.smallest_angle, "degrees")
         within("merge_turn", 0.0, 90.0, "degrees")
         within("merge_area", 0.0, 0.5, "h^2")
+        if not 0.0 <= self.fill_creases <= 90.0:
+            raise ValueError(
+                f"fill_creases is {self.fill_creases} degrees; it must lie between 0 and 90"
+            )
         within("shortest_edge", 0.0, 0.7, "h")
         within("fire_short_edge", 0.0, self.shortest_edge, "h")
         within("nearest_to_boundary", 0.0, self.shortest_edge, "h")

@@ -12,6 +12,7 @@ from fenicsx_hmcontact.domain.mesh_arrays import MeshArrays
 from fenicsx_hmcontact.remeshing.bodies import gather, merges_of, separate
 from fenicsx_hmcontact.remeshing.body import Body
 from fenicsx_hmcontact.remeshing.boundary import merge_short_edges, split_long_edges
+from fenicsx_hmcontact.remeshing.crease import fill_creases
 from fenicsx_hmcontact.remeshing.edges import Bools, Floats
 from fenicsx_hmcontact.remeshing.insertion import open_small_angles, split_long_edges_inside
 from fenicsx_hmcontact.remeshing.options import Remeshing
@@ -157,7 +158,7 @@ def _settle(body: Body) -> bool:
     """Repeat all operations until nothing changes; whether that was reached."""
     body.retriangulate()
     for _ in range(body.options.rounds):
-        changed = merge_short_edges(body) + split_long_edges(body)
+        changed = fill_creases(body) + merge_short_edges(body) + split_long_edges(body)
         changed += remove_close_nodes(body)
         changed += split_long_edges_inside(body)
         changed += open_small_angles(body)

@@ -9,6 +9,7 @@ import numpy as np
 
 from fenicsx_hmcontact.remeshing.body import Body
 from fenicsx_hmcontact.remeshing.boundary import lengths_on_lines, mergeable
+from fenicsx_hmcontact.remeshing.crease import creases
 from fenicsx_hmcontact.remeshing.edges import Floats
 from fenicsx_hmcontact.remeshing.insertion import curable_angles, lengths_inside
 from fenicsx_hmcontact.remeshing.options import Remeshing
@@ -29,6 +30,7 @@ class Quality:
         shortest_edge: Shortest edge that can be removed [h].
         longest_boundary_edge: Longest edge of a fixed line that can be halved [h].
         longest_edge: Longest other edge [h].
+        sharpest_crease: Smallest angle outside of the body between edges of one surface [degrees].
     """
 
     smallest_area: float
@@ -36,6 +38,7 @@ class Quality:
     shortest_edge: float
     longest_boundary_edge: float
     longest_edge: float
+    sharpest_crease: float = np.inf
 
     @classmethod
     def of(cls, body: Body) -> Quality:
@@ -48,6 +51,7 @@ class Quality:
             float(short.min(initial=np.inf)),
             float(lengths_on_lines(body, edges)[1].max(initial=-np.inf)),
             float(lengths_inside(body, edges)[1].max(initial=-np.inf)),
+            float(creases(body, edges)[1].min(initial=np.inf)),
         )
 
 
@@ -81,6 +85,7 @@ def reasons(
     for name, limit, unit in (
         ("smallest_angle", options.fire_angle, "degrees"),
         ("shortest_edge", options.fire_short_edge, "h"),
+        ("sharpest_crease", options.fill_creases, "degrees"),
     ):
         value = getattr(quality, name)
         if value < min(limit, WORSE * getattr(left, name)):

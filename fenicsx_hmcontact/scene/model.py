@@ -15,7 +15,7 @@ from dolfinx.mesh import EntityMap
 
 from .. import _compat
 from ..contact import ContactPair, InterfaceState
-from ..domain import Domain
+from ..domain import Domain, NodalState
 from ..materials import MaterialStress
 from ..materials.kinematics import Kinematics, check_kinematics
 from ..model import CompiledModel
@@ -124,6 +124,7 @@ class SceneModel(TransientModel):
             v, q = ufl.TestFunction(V), None
         self.stresses: dict[str, MaterialStress] = {}
         form = sum(self._bulk(name, options, v, q, step) for name in statements.bodies)
+        self._tractions: dict[str, fem.Function] = {}
         form += self._loads(v) + self._inflows(q, step)
         self._set_initial_state()
         self._supports: dict[tuple[str, int], Any] = {}
@@ -152,6 +153,7 @@ class SceneModel(TransientModel):
             previous,
             time=self._time,
             histories=self._histories,
+            saved=list(self._tractions.values()),
             follow=self._move_meshes if self._finite else None,
         )
 
@@ -236,6 +238,43 @@ class SceneModel(TransientModel):
             raise ValueError(f"no material has a history '{name}'")
         return self._nodal(name, {n: s.history(name)[..., None] for n, s in known.items()}, 1)
 
+    # --- stages -----------------------------------------------------------------------------
+
+    def hold(self, surface: str) -> None:
+        """Let tractions balance the forces on a surface, whose unloading begins. Collective.
+
+        Args:
+            surface: A surface that a neighbour was removed from.
+        """
+        traction, unit = self._tractions[surface], fem.Constant(self.domain.mesh, np.ones(2))
+        lengths = fem.assemble_vector(
+            fem.form(
+                ufl.dot(unit, ufl.TestFunction(traction.function_space)) * self._lumped(surface)
+            )
+        )
+        lengths.scatter_reverse(la.InsertMode.add)
+        forces, n = self.problem.bulk_forces(self.u), len(traction.x.array)
+        traction.x.array[:] = 0.0
+        there = lengths.array[:n] > 0.0
+        traction.x.array[there] = forces.x.array[there] / lengths.array[:n][there]
+        traction.x.scatter_forward()
+
+    def nodal_state(self) -> dict[str, NodalState]:
+        """What the model holds between two steps, see `TransientModel`. Collective."""
+        states = super().nodal_state()
+        return {self._saved_names.get(name, name): state for name, state in states.items()}
+
+    def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
+        """Start from what `nodal_state` returned, on this mesh or another. Collective."""
+        before = super().nodal_state()
+        known = {name: states.get(new, before[name]) for name, new in self._saved_names.items()}
+        super().set_nodal_state({**states, **known})
+
+    @property
+    def _saved_names(self) -> dict[str, str]:
+        """Names of states by surface, whatever their number."""
+        return {f"saved {i}": f"traction on {surface}" for i, surface in enumerate(self._tractions)}
+
     # --- building ---------------------------------------------------------------------------
 
     def _fields(self, space: fem.FunctionSpace, name: str) -> tuple[fem.Function, fem.Function]:
@@ -317,7 +356,17 @@ class SceneModel(TransientModel):
                 form -= finite_strain.dead_load(value, self.u_n, v, ds)
             else:
                 form -= ufl.dot(value, v) * ds
+        for surface, part in self._said.unloadings.items():
+            held = fem.Function(self.u.function_space, name=f"traction held on {surface}")
+            self._data.append(held)
+            self._tractions[surface] = held
+            form -= self._in_time(part) * ufl.dot(held, v) * self._lumped(surface)
         return form
+
+    def _lumped(self, surface: str) -> ufl.Measure:
+        """Measure on a surface of which each node has its own part."""
+        vertices = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+        return self._ds(self.domain.surface(surface), metadata=vertices)
 
     def _inflows(self, q: Any, step: fem.Constant) -> Any:
         """Water that comes in through surfaces, to be added."""

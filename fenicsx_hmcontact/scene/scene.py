@@ -458,7 +458,7 @@ class Scene:
 
     # --- stages -----------------------------------------------------------------------------
 
-    def remove(self, group: str, exposed: str) -> None:
+    def remove(self, group: str, exposed: str, *, over: float = 0.0) -> None:
         """Take a body group out between two runs, as in an excavation. Collective.
 
         What was stated about surfaces that go with it is taken back. The surface that is laid bare
@@ -467,11 +467,16 @@ class Scene:
         Args:
             group: A layer of a body, or a whole body.
             exposed: Name of the surface that is laid bare; a new one, or one there is.
+            over: Time in which what the group carried falls on the rest, evenly [s]: steps that
+                fail are cut, and their load with them. At zero it falls on the next step, all of
+                it however short.
 
         Raises:
             RuntimeError: If the scene has not been run.
-            ValueError: If there is no such group, or nothing would be left.
+            ValueError: If there is no such group, nothing would be left, or the time is negative.
         """
+        if not 0.0 <= over < math.inf:
+            raise ValueError(f"the time in which '{group}' is removed is {over} s")
         simulation, tag = self._running("remove"), self.domain.body(group)
         comm = self.model.comm
         arrays = self.domain.arrays()
@@ -479,6 +484,16 @@ class Scene:
         gone = set(self.domain.surfaces) - set(comm.bcast(found))
         self._said.forget(group, gone)
         simulation.remove(group, exposed)
+        if over > 0.0:
+            begin = simulation.t
+            left = Prescribed(
+                f"the traction left on surface '{exposed}'",
+                "part",
+                (lambda t: max(1.0 - (t - begin) / over, 0.0),),
+            )
+            self._said.state(self._said.unloadings, exposed, left)
+            self._go_on()
+            self.model.hold(exposed)
 
     def reset_displacements(self, pressure: Mapping[str, InSpace | float] | None = None) -> None:
         """Go back to the design geometry between two runs; stresses stay. Collective.

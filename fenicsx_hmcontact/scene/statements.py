@@ -113,6 +113,7 @@ class Statements:
         loads: Pressures or tractions [Pa] by surface.
         drains: Pore pressures by surface.
         inflows: Fluxes into the body [m/s] by surface.
+        unloadings: Part [-] of the traction of a removed neighbour that still acts, by surface.
         stresses: Effective stresses at the start, by body.
         pressures: Pore pressures at the start, by body.
         gravity: Its direction; None without.
@@ -126,6 +127,7 @@ class Statements:
     loads: dict[str, Prescribed] = field(default_factory=dict)
     drains: dict[str, Prescribed] = field(default_factory=dict)
     inflows: dict[str, Prescribed] = field(default_factory=dict)
+    unloadings: dict[str, Prescribed] = field(default_factory=dict)
     stresses: dict[str, InSpace] = field(default_factory=dict)
     pressures: dict[str, InSpace | float] = field(default_factory=dict)
     gravity: tuple[float, float] | None = None
@@ -150,7 +152,7 @@ class Statements:
                 del self.contacts[name]
             for component in self.components(surface):
                 del self.supports[surface, component]
-            for statements in (self.loads, self.drains, self.inflows):
+            for statements in (self.loads, self.drains, self.inflows, self.unloadings):
                 statements.pop(surface, None)
         self.version += 1
 

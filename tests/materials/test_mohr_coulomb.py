@@ -248,6 +248,20 @@ def test_equal_principal_stresses(law):
             assert np.abs(other.tangent - result.tangent).max() < 1e-6
 
 
+def test_isotropic_trials_within_rounding_of_the_apex():
+    """Where rounding sends equal stresses to a region that tells them apart, tangents are numbers.
+
+    Such trials come from points that stay at the apex in a step of next to no strain.
+    """
+    law = hm.MohrCoulomb(1e7, 0.35, 5e3, phi=25.0)
+    trial = np.full((200, 4), law.apex)
+    trial[:, 2] += np.arange(-100, 100) * np.spacing(law.apex)
+    trial[:, 3] = 0.0
+    result = returned(law, trial)
+    assert np.isfinite(result.tangent).all() and np.abs(result.tangent).max() < 2.0
+    assert np.abs(result.stress - trial).max() < 1e-12 * law.apex
+
+
 @parametrized
 def test_stress_on_the_surface_stays(law):
     """Points on planes, edges and corners already: returning them again changes nothing."""

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 EMPTY = "#e6e6e6"
 """Colour of triangles without a value."""
 
+PARTS = 4
+"""Parts of the side of a triangle between whose ends colours blend."""
+
 DPI = 100
 """Pixels an inch."""
 
@@ -243,10 +246,12 @@ def _draw(
             axes.add_collection(PolyCollection(empty, facecolors=EMPTY, antialiaseds=False))
         ]
         if known.any():
-            mesh = Triangulation(x[:, 0], x[:, 1], cells[known])
             if picture.nodal:
-                filled = axes.tripcolor(mesh, picture.values, shading="gouraud", **colors)
+                points, values, parts = _divided(x, picture.values, cells[known])
+                mesh = Triangulation(points[:, 0], points[:, 1], parts)
+                filled = axes.tripcolor(mesh, values, shading="gouraud", **colors)
             else:
+                mesh = Triangulation(x[:, 0], x[:, 1], cells[known])
                 filled = axes.tripcolor(mesh, facecolors=picture.values[known], **colors)
             artists.append(filled)
         if edges:
@@ -258,6 +263,29 @@ def _draw(
         yield
         for artist in artists:
             artist.remove()
+
+
+def _divided(
+    x: Float, values: Float, cells: npt.NDArray[np.int64]
+) -> tuple[Float, Float, npt.NDArray[np.int64]]:
+    """Divide triangles evenly: within each colours blend, and blends of far ones are in no map.
+
+    Returns:
+        Points [m], shape (n, 2), values there, shape (n,), and triangles, shape (m, 3).
+    """
+    whole = range(PARTS + 1)
+    lattice = {
+        (i, j): k for k, (i, j) in enumerate((i, j) for i in whole for j in whole[: PARTS + 1 - i])
+    }
+    i, j = np.array(list(lattice)).T
+    weights = np.column_stack([PARTS - i - j, i, j]) / PARTS
+    up = [((i, j), (i + 1, j), (i, j + 1)) for i, j in lattice if i + j < PARTS]
+    down = [((i + 1, j), (i + 1, j + 1), (i, j + 1)) for i, j in lattice if i + j < PARTS - 1]
+    parts = np.array([[lattice[corner] for corner in part] for part in up + down])
+    n = len(weights)
+    triangles = n * np.arange(len(cells))[:, None, None] + parts
+    points = np.einsum("kc,ncd->nkd", weights, x[cells]).reshape(-1, 2)
+    return points, (values[cells] @ weights.T).ravel(), triangles.reshape(-1, 3)
 
 
 def _loops(edges: npt.NDArray[np.int64]) -> Iterator[list[int]]:

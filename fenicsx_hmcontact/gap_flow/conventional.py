@@ -36,16 +36,23 @@ class ConventionalInterface:
         primary: The other, with as many nodes.
         flow: Law of the water between them.
         layout: Numbering of the unknowns: one displacement and one pore pressure.
+        moved: Displacements of the nodes of both since they lay opposite each other [m], shapes
+            (n, 2): elements stay on the nodes they were built on. None where they do so now.
 
     Raises:
-        ValueError: If the surfaces do not match.
+        ValueError: If the surfaces did not match then.
 
     Note:
         Collective. Its data are the same on all ranks.
     """
 
     def __init__(
-        self, secondary: Surface, primary: Surface, flow: GapFlow, layout: FieldLayout
+        self,
+        secondary: Surface,
+        primary: Surface,
+        flow: GapFlow,
+        layout: FieldLayout,
+        moved: tuple[Float, Float] | None = None,
     ) -> None:
         pair = f"surfaces '{secondary.name}' and '{primary.name}'"
         chains = secondary.chains + primary.chains
@@ -55,8 +62,12 @@ class ConventionalInterface:
         # Both have their body on the left and so run against each other.
         opposite[chains[0]] = chains[1][::-1]
         apart = secondary.points - primary.points[opposite]
-        along = np.abs(np.sum(apart[secondary.edges[:, 0]] * secondary.tangents, axis=1))
-        if len(secondary.edges) != len(primary.edges) or np.any(along > SHIFT * secondary.lengths):
+        first, between = secondary, apart
+        if moved is not None:
+            first = secondary.at(secondary.points - moved[0])
+            between = apart - (moved[0] - moved[1][opposite])
+        along = np.abs(np.sum(between[first.edges[:, 0]] * first.tangents, axis=1))
+        if len(secondary.edges) != len(primary.edges) or np.any(along > SHIFT * first.lengths):
             raise ValueError(f"the nodes of {pair} do not lie opposite each other")
         self.flow = flow
         self._middle = secondary.at(secondary.points - apart / 2)

@@ -211,3 +211,23 @@ def test_refuses_meshes_that_do_not_match(comm):
         interface(blocks(comm, (5, 7)))
     with pytest.raises(ValueError, match="the nodes of surfaces 'bottom_1' and 'top_0' do not lie"):
         interface(blocks(comm, shift=0.02))
+
+
+def test_elements_stay_on_the_nodes_that_lay_opposite_each_other(comm):
+    model = blocks(comm, shift=0.02)
+    names = "bottom_1", "top_0"
+    faces = [
+        gather_surface(model.domain.mesh, model.domain.facet_tags, model.domain.surface(n), n)
+        for n in names
+    ]
+    order = [np.argsort(face.points[:, 0]) for face in faces]
+    moved = [np.zeros_like(face.points) for face in faces]
+    moved[0][order[0]] = faces[0].points[order[0]] - faces[1].points[order[1]]
+    elements = ConventionalInterface(*faces, FLOW, model.problem.layout, tuple(moved))
+    n = len(faces[0].nodes)
+    pressures = np.zeros(2 * n)
+    pressures[:n] = 1.0
+    leak = elements.conductance(G) @ pressures
+    assert leak[:n].sum() == pytest.approx(0.5 * K / GAMMA / G, rel=0.1)
+    with pytest.raises(ValueError, match="do not lie opposite"):
+        ConventionalInterface(*faces, FLOW, model.problem.layout)

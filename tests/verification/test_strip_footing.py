@@ -12,7 +12,7 @@ from fenicsx_hmcontact._compat import cell_nodes
 from meshes.strip_footing import strip_footing
 
 PRANDTL = 2.0 + np.pi
-BALANCED = 1e-7
+BALANCED = 1e-6
 """Sum of forces over the load, at a tolerance of 1e-8."""
 
 

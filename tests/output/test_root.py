@@ -9,6 +9,11 @@ class SceneError(Exception):
         super().__init__(group, reason)
 
 
+class UnsendableError(Exception):
+    def __init__(self, group, reason):
+        super().__init__(f"{group}: {reason}")
+
+
 def fail(error):
     raise error
 
@@ -16,7 +21,8 @@ def fail(error):
 @pytest.mark.mpi
 def test_only_rank_0_acts(comm):
     done = []
-    on_root(comm, lambda: done.append(comm.rank))
+    found = on_root(comm, lambda: done.append(comm.rank) or "done")
+    assert found == ("done" if comm.rank == 0 else None)
     assert done == ([0] if comm.rank == 0 else [])
 
 
@@ -24,5 +30,7 @@ def test_only_rank_0_acts(comm):
 def test_all_ranks_hear_of_a_failure(comm):
     with pytest.raises(FileNotFoundError, match="ground"):
         on_root(comm, lambda: fail(FileNotFoundError("ground.msh")))
-    with pytest.raises(SceneError if comm.rank == 0 else RuntimeError, match="ground"):
+    with pytest.raises(SceneError, match="ground"):
         on_root(comm, lambda: fail(SceneError("ground", "no facet")))
+    with pytest.raises(UnsendableError if comm.rank == 0 else RuntimeError, match="ground"):
+        on_root(comm, lambda: fail(UnsendableError("ground", "no facet")))

@@ -212,13 +212,12 @@ class Simulation(TimeStepping):
             ValueError: If there is no such group, or nothing would be left.
         """
         self.accept()
-        tag = self.domain.body(group)
         layers = {
             body: [name for name in names if name != group]
             for body, names in self.domain.layers.items()
         }
         layers = {body: names for body, names in layers.items() if names}
-        found = on_root(self.model.comm, lambda: self._arrays.without(group, tag, exposed))
+        found = on_root(self.model.comm, lambda: self._arrays.without(group, exposed))
         arrays, whole = self._arrays, self._gather()
         if found is not None:
             (arrays, kept), n = found, len(arrays.points)
@@ -313,7 +312,7 @@ class Simulation(TimeStepping):
                 that of another model.
         """
         found = on_root(comm, lambda: read_checkpoint(path))
-        arrays, description = comm.bcast(({}, found[1]) if found else None)
+        description = comm.bcast(found and found[1])
         mesh, whole, sizes = None, {}, np.empty(0)
         if found:
             arrays = found[0]
@@ -336,6 +335,8 @@ class Simulation(TimeStepping):
             mesh, comm, name=description["name"], layers=description["layers"]
         )
         run = cls(build, domain, remeshing, options=options)
+        run.restore(description["stepping"])
+        run._prescribe(run.t, float(run.model.dt.value))
         known, wanted = description["values"], run.model.nodal_state()
         if set(known) != set(wanted):
             raise CheckpointError(
@@ -350,7 +351,6 @@ class Simulation(TimeStepping):
         run._quality = {body: Quality(**q) for body, q in description["quality"].items()}
         run.records = [RemeshRecord(**_tuples(record)) for record in description["records"]]
         run.n_steps = description["n_steps"]
-        run.restore(description["stepping"])
         return run
 
     # --- what it is made of -------------------------------------------------------------------

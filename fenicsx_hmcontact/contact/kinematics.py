@@ -110,12 +110,11 @@ class Kinematics:
 
     def nodal_states(self) -> tuple[dict[str, Float], dict[str, Float]]:
         """What the nodes of both surfaces hold at the start of a step; by name, shapes (n, ...)."""
-        covered, faced = self._start_coverage
+        covered, faced = (flags.astype(float) for flags in self._start_coverage)
         secondary, primary = (surface.points for surface in self._rest)
-        flags = {"covered": covered.astype(float)}
         return (
-            {"rest": secondary, "closed gap": self._closed_gaps} | flags,
-            {"rest": primary, "faced": faced.astype(float)},
+            {"rest": secondary, "closed gap": self._closed_gaps, "covered": covered},
+            {"rest": primary, "faced": faced},
         )
 
     def set_nodal_states(

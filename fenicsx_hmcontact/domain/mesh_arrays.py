@@ -55,23 +55,22 @@ class MeshArrays:
             points, cells, self.cell_groups, facets, self.facet_groups, self.bodies, self.surfaces
         )
 
-    def without(
-        self, group: str, tag: int, exposed: str
-    ) -> tuple[MeshArrays, npt.NDArray[np.int64]]:
+    def without(self, group: str, exposed: str) -> tuple[MeshArrays, npt.NDArray[np.int64]]:
         """The mesh without the triangles of a group.
 
         Args:
             group: Name of the group.
-            tag: Its tag.
             exposed: Name of the surface group of edges that have become boundary.
 
         Returns:
             The mesh, and the old numbers of its nodes; shape (n_left,).
 
         Raises:
-            ValueError: If nothing is left.
+            ValueError: If there is no such group, or nothing is left.
         """
-        gone = self.cell_groups == tag
+        if group not in self.bodies:
+            raise ValueError(f"unknown body '{group}'; known: {', '.join(self.bodies)}")
+        gone = self.cell_groups == self.bodies[group]
         if gone.all():
             raise ValueError(f"without '{group}' nothing is left")
         left, taken = (_edges(self.cells[some]) for some in (~gone, gone))

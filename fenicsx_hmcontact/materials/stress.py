@@ -303,12 +303,8 @@ class MaterialStress:
         self.u_n.x.array[:] = self.u.x.array
         n = self._points.n_cells * self._points.n_points
         stress, history, tangent = (
-            state.nodal[name].reshape(n, *shape.shape[1:])
-            for name, shape in (
-                ("stress", self.start.stress),
-                ("history", self.start.history),
-                ("tangent", self.start.tangent),
-            )
+            values.reshape(n, *values.shape[2:])
+            for values in (state.nodal[name] for name in ("stress", "history", "tangent"))
         )
         self.start = PointState(
             stress, history, tangent, np.zeros(n), np.zeros(n, np.bool_), "", state.values["by law"]

@@ -477,10 +477,10 @@ class Scene:
         """
         if not 0.0 <= over < math.inf:
             raise ValueError(f"the time in which '{group}' is removed is {over} s")
-        simulation, tag = self._running("remove"), self.domain.body(group)
+        simulation = self._running("remove")
         comm = self.model.comm
         arrays = self.domain.arrays()
-        found = on_root(comm, lambda: arrays.without(group, tag, exposed)[0].surfaces)
+        found = on_root(comm, lambda: arrays.without(group, exposed)[0].surfaces)
         gone = set(self.domain.surfaces) - set(comm.bcast(found))
         self._said.forget(group, gone)
         simulation.remove(group, exposed)

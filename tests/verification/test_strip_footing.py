@@ -12,8 +12,11 @@ from fenicsx_hmcontact._compat import cell_nodes
 from meshes.strip_footing import strip_footing
 
 PRANDTL = 2.0 + np.pi
-BALANCED = 1e-6
-"""Sum of forces over the load, at a tolerance of 1e-8."""
+BALANCED = 1e-7
+"""Sum of forces over the load."""
+
+STIFF = ["--nu", "0.4999", "--tolerance", "1e-9"]
+"""Increments count by their stiffness, which is here that of volume: forces need a digit more."""
 
 
 def footing(*words, comm=MPI.COMM_WORLD):
@@ -71,7 +74,7 @@ def test_refused_options(comm, words, capsys):
 # --- clay ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("words", [[], ["--undrained"], ["--smooth-base"], ["--nu", "0.4999"]])
+@pytest.mark.parametrize("words", [[], ["--undrained"], ["--smooth-base"], STIFF])
 def test_clay_does_not_lock(words):
     found = figures(*words)
     assert 4.75 < found["q_over_c_corrected"] < PRANDTL

@@ -133,10 +133,11 @@ class Slide:
         days: Ends of the steps; the first is that of the gravity stage.
         plastic_strain: Total equivalent plastic strain [m^2].
         displacement: Largest displacement [m].
-        slip: Largest sum of slips of the interface [m].
+        slip: Sum over the steps of the largest slip of the interface [m].
         jump: Largest jump of the pore pressure across closed parts of the interface [Pa].
         iterations: Of Newton's method.
         halvings: How often steps were cut.
+        failure: Why the run ended early; empty where it did not.
         settlement: Largest displacement of the gravity stage [m].
         balance: Water taken in less the growth of the ground, relative to the former.
     """
@@ -148,6 +149,7 @@ class Slide:
     jump: float = 0.0
     iterations: list = field(default_factory=list)
     halvings: int = 0
+    failure: str = ""
     settlement: float = 0.0
     balance: float = 0.0
 
@@ -180,6 +182,7 @@ class Excavation:
         ):
             self.slide.settlement = self.largest_displacement()
             self.slide.iterations.append(step.iterations)
+            self.slide.halvings += step.cuts
         scene.reset_displacements({"soil": hydrostatic(o)})
 
     def excavate(self):
@@ -189,14 +192,17 @@ class Excavation:
         scene.drain("slope")
         self.area = self.ground()
         first = min(o.excavation, o.days)
-        for end, dt in (
-            (first, first / o.excavation_steps),
-            (min(EARLY, o.days), o.dt_early),
-            (o.days, o.dt_late),
-        ):
-            if end > self.slide.days[-1]:
-                for step in scene.run(end * DAY, dt=dt * DAY, bar=CASES[self.case]):
-                    self.observe(step)
+        stages = [(first, first / o.excavation_steps), (min(EARLY, o.days), o.dt_early)]
+        stages.append((o.days, o.dt_late))
+        try:
+            for end, dt in stages:
+                if end > self.slide.days[-1]:
+                    for step in scene.run(end * DAY, dt=dt * DAY, bar=CASES[self.case]):
+                        self.observe(step)
+        except hm.TimeSteppingError as error:
+            if len(self.slide.days) == 1:
+                raise
+            self.slide.failure = str(error)
         self.close_balance()
 
     @property
@@ -282,7 +288,9 @@ def figures_of(slide, options):
         "settlement": slide.settlement,
         "slip": slide.slip,
         "pressure_jump": slide.jump,
-        "failed_steps": slide.halvings,
+        "failed_steps": int(bool(slide.failure)),
+        "failure": slide.failure,
+        "step_halvings": slide.halvings,
         "newton_median": float(np.median(slide.iterations)),
         "water_balance": slide.balance,
     }
@@ -327,7 +335,9 @@ def draw_evolution(slides, options):
         for case, s in slides.items()
     }
     figure = curves(
-        strain, x=("time after excavation", "d"), y=("plastic strain over its maximum", "")
+        strain,
+        x=("time from the start of the excavation", "d"),
+        y=("plastic strain over its maximum", ""),
     )
     save(figure, options.out / "plastic_strain_over_time.png")
     moved = {
@@ -335,7 +345,9 @@ def draw_evolution(slides, options):
         for case, s in slides.items()
     }
     figure = curves(
-        moved, x=("time after excavation", "d"), y=("largest displacement over height", "")
+        moved,
+        x=("time from the start of the excavation", "d"),
+        y=("largest displacement over height", ""),
     )
     save(figure, options.out / "displacement_over_time.png")
 
@@ -365,6 +377,14 @@ def draw_end(path, case, options):
 
 
 # %%
+QUICK = {"h": 5.0, "h_fine": 3.0, "days": 8.0}
+"""Parameters of --quick: a coarse mesh, eight days."""
+FINE = {"h": 2.0, "h_fine": 1.0}
+"""Parameters of --fine."""
+PRINTED_VISCOSITY = 10.0
+"""Viscosity of water in the paper [Pa s]."""
+
+
 def parse(words=None):
     """Read the command line, or given words; return options and parameters of the report."""
     p = DemoParser(
@@ -404,7 +424,7 @@ def parse(words=None):
     p.parameter("--interface-permeability", 1e-5, "m/s", "permeability across the interface")
     p.parameter("--aperture-cap", 1e-2, "m", "gaps that are wider lead no better along")
     p.parameter("--tau", 1.0, "-", "stabilisation of the pore pressure")
-    p.parameter("--days", 20.0, "d", "time after excavation")
+    p.parameter("--days", 20.0, "d", "time from the start of the excavation")
     p.parameter("--excavation", 0.2, "d", "time in which the load of the excavated soil comes off")
     p.parameter("--excavation-steps", 4, "-", "steps of the excavation")
     p.parameter("--dt-early", 0.2, "d", "steps of the first five days")
@@ -412,10 +432,15 @@ def parse(words=None):
     p.parameter("--fill-creases", 60.0, "degrees", "angle of creases of the ground that are filled")
     p.parameter("--iterations", 50, "-", "most iterations of a step")
     p.parameter("--cuts", 10, "-", "most cuts of a step")
-    p.set_defaults(viscosity=None)
+    left_out = {name: p.get_default(name) for name in ("h", "h_fine", "days", "viscosity")}
+    p.set_defaults(**dict.fromkeys(left_out))
     o = p.parse_args(words)
-    if o.viscosity is None:
-        o.viscosity = 10.0 if o.printed else 1e-3
+    left_out |= QUICK if o.quick else {}
+    left_out |= FINE if o.fine else {}
+    left_out |= {"viscosity": PRINTED_VISCOSITY} if o.printed else {}
+    for name, value in left_out.items():
+        if getattr(o, name) is None:
+            setattr(o, name, value)
     for name in (
         "h",
         "h_fine",
@@ -428,10 +453,6 @@ def parse(words=None):
     ):
         if not getattr(o, name) > 0:
             p.error(f"--{name.replace('_', '-')} must be positive, not {getattr(o, name)}")
-    if o.fine:
-        o.h, o.h_fine = 2.0, 1.0
-    if o.quick:
-        o.h, o.h_fine, o.days = max(o.h, 5.0), max(o.h_fine, 3.0), min(o.days, 8.0)
     return o, p.parameters(o)
 
 
@@ -447,11 +468,12 @@ def run(case, options, report=None, series=None):
     return excavation
 
 
-def study(options):
+def study(options, report):
     """Both cases on three meshes, as a table."""
     from rich.console import Console
     from rich.table import Table
 
+    found = {}
     table = Table(title="excavated slope, with and without the interface")
     for heading in (
         "edges [m]",
@@ -467,10 +489,12 @@ def study(options):
         options.h_fine *= h / options.h
         options.h = h
         for case in CASES:
-            figures = figures_of(run(case, options).slide, options)
+            figures = figures_of(run(case, options, report).slide, options)
+            found[f"{case}, {options.h_fine:g} to {h:g} m"] = figures
             names = (*PARTS, "t98", "plastic_strain_total", "displacement_max")
             shown = ("-" if figures[n] is None else f"{figures[n]:.3g}" for n in names)
             table.add_row(f"{options.h_fine:g} to {h:g}", case, *shown)
+    report.figures["study"] = found
     if comm.rank == 0:
         Console(width=100).print(table)
 
@@ -478,10 +502,11 @@ def study(options):
 def main():
     """Run the demo."""
     options, parameters = parse()
-    if options.study:
-        study(options)
-        return
     report, found, slides, paths = Report("excavated_slope", comm, parameters), {}, {}, {}
+    if options.study:
+        study(options, report)
+        report.write(options.report)
+        return
     for case in CASES if options.case == "both" else (options.case,):
         series = Series(options.out / f"{case}.pvd", comm)
         with report.phase(CASES[case]):

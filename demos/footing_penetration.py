@@ -189,7 +189,12 @@ def asymmetry(frame):
 
 
 def pressure_jump(model, state):
-    """Largest difference of both faces' pressures where the cavity is closed, over the largest."""
+    """Largest difference of both faces' pressures where the cavity is closed, over the largest.
+
+    None where it is closed nowhere.
+    """
+    if not state.closed.any():
+        return {"pressure_drop": None, "pressure_jump": None}
     (upper, p_upper), (lower, p_lower) = (
         surface_values(model.p, model.porous.facet_tags, model.porous.surface(name))
         for name in FACES
@@ -199,8 +204,8 @@ def pressure_jump(model, state):
     jump = np.abs(p_upper[:, 0] - opposite)[state.closed]
     largest = comm.allreduce(float(np.abs(model.p.x.array).max(initial=0.0)), MPI.MAX)
     return {
-        "pressure_drop": float(np.abs(state.jump[state.closed]).max(initial=0.0)) / largest,
-        "pressure_jump": float(jump.max(initial=0.0)) / largest,
+        "pressure_drop": float(np.abs(state.jump[state.closed]).max()) / largest,
+        "pressure_jump": float(jump.max()) / largest,
     }
 
 
@@ -413,17 +418,23 @@ def study(options, report):
     from rich.console import Console
     from rich.table import Table
 
-    o, loads, rows = options, {}, []
+    o, loads, failures, rows = options, {}, {}, []
     for h in o.meshes:
         o.h = h
         scene, history = push(o, waters(o)[0], report, conditions=False)
         loads[h] = history.settlement, np.array(history.load)
+        failures[h] = history.failure
         unknowns = sum(scene.model.problem.n_unknowns.values())
         rows.append((h, unknowns, float(np.median(history.iterations)), history.seconds))
     finest = loads[min(loads)][1]
+    # Runs that end early are compared as far as all came.
     common = min(len(load) for _, load in loads.values())
+    if common == 0:
+        raise RuntimeError(f"a run of the study has no step: {failures}")
     differences = {h: load[:common] / finest[:common] - 1.0 for h, (_, load) in loads.items()}
     report.figures |= {
+        "failed_steps": sum(bool(failure) for failure in failures.values()),
+        "failure": {str(h): failure for h, failure in failures.items()},
         "loads": {str(h): load for h, (_, load) in loads.items()},
         "difference_mean": {str(h): float(np.abs(d).mean()) for h, d in differences.items()},
         "difference_max": {str(h): float(np.abs(d).max()) for h, d in differences.items()},
@@ -435,15 +446,16 @@ def study(options, report):
             "unknowns",
             "mean",
             "largest",
-            "load at end [kN/m]",
+            "reached [m]",
+            "load there [kN/m]",
             "solves",
             "s",
         ):
             table.add_column(heading)
         for h, unknowns, solves, seconds in rows:
             d = np.abs(differences[h])
-            last = f"{loads[h][1][-1] / 1e3:.1f}"
-            words = f"{d.mean():.1%}", f"{d.max():.1%}", last, f"{solves:g}", f"{seconds:.0f}"
+            last = f"{loads[h][0][-1]:.2f}", f"{loads[h][1][-1] / 1e3:.1f}"
+            words = f"{d.mean():.1%}", f"{d.max():.1%}", *last, f"{solves:g}", f"{seconds:.0f}"
             table.add_row(f"{h:g}", str(unknowns), *words)
         Console(width=100).print(table)
 
@@ -525,9 +537,9 @@ def parse(words=None):
     p.parameter("--tolerance", 1e-10, "-", "of Newton's method")
     p.parameter("--max-iterations", 12, "-", "of Newton's method, before a step is cut")
     p.parameter("--meshes", (0.3, 0.2, 0.15), "m", "edges, in --study")
-    p.set_defaults(**dict.fromkeys(("h", "settlement", "steps", "duration")))
+    left_out = {name: p.get_default(name) for name in ("h", "settlement", "steps", "duration")}
+    p.set_defaults(**dict.fromkeys(left_out))
     o = p.parse_args(words)
-    left_out = {"h": 0.2, "settlement": 1.0, "steps": 20, "duration": 3000.0}
     left_out |= QUICK if o.quick else {}
     left_out |= {"h": FINE} if o.fine else {}
     for name, value in left_out.items():

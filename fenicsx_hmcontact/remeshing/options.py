@@ -42,7 +42,7 @@ class Remeshing:
         merge_area: A node of the boundary is only removed if this changes the area by less [h^2].
         fill_creases: Where a surface turns in on itself, and the angle outside of the body gets
             smaller than this, the crease is filled [degrees]; 0 never fills. Set it, to 60 say,
-            where a slide or heave rolls over the ground beside it.
+            where a slide or heave rolls over the ground beside it; not where another body fits in.
         rounds: Most rounds of a remesh [-]. Raise it if a remesh reports that it has not settled.
         every: Remesh every so many steps as well [-]; None for no fixed rhythm.
         rule: A rule of your own: called with the mesh after every step, remeshes on True.

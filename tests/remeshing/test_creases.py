@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 import fenicsx_hmcontact as hm
-from fenicsx_hmcontact.remeshing import areas, due, remesh, target_sizes
+from fenicsx_hmcontact.domain import MeshArrays
+from fenicsx_hmcontact.remeshing import areas, due, remesh, target_sizes, triangulate
+from fenicsx_hmcontact.remeshing.bodies import separate
+from fenicsx_hmcontact.remeshing.crease import fill_creases
 from tests.remeshing.helpers import block, moved
 
 H = 0.125
@@ -72,3 +75,27 @@ def test_corner_of_two_surfaces_is_no_crease():
 def test_angles_out_of_range_are_refused(value):
     with pytest.raises(ValueError, match="fill_creases is"):
         hm.Remeshing(fill_creases=value)
+
+
+def lip(tip):
+    """A body with a crease, and a lip beside it whose tip may hang over the crease."""
+    low, high = (0.8, 0.0), (1.2, 0.12)
+    x = [(0.0, -1.0), (2.0, -1.0), (2.0, 0.6), (1.5, 0.6), tip, high, (1.0, -0.5), low, (0.0, 0.0)]
+    points, n = np.pad(np.array(x), ((0, 0), (0, 1))), len(x)
+    outline = np.column_stack([np.arange(n), np.roll(np.arange(n), -1)])
+    cells, groups, _ = triangulate(points[:, :2], outline, np.ones(n, int))
+    tags = np.ones(n, np.int32)
+    arrays = MeshArrays(
+        points, cells, groups.astype(np.int32), outline, tags, {"soil": 1}, {"ground": 1}
+    )
+    return separate(arrays, np.ones(n), hm.Remeshing(fill_creases=50.0), None, None)["soil"]
+
+
+@pytest.mark.parametrize(("tip", "filled"), [((1.25, 0.5), 1), ((0.95, 0.03), 0)])
+def test_crease_that_another_part_has_come_into_stays(tip, filled):
+    body = lip(tip)
+    before = areas(body.points, body.cells).sum()
+    assert fill_creases(body) == filled
+    after = areas(body.points, body.cells)
+    # The triangle of 0.4 m by 0.56 m, less what it leans.
+    assert after.min() > 0.0 and after.sum() - before == pytest.approx(0.112 * filled, abs=1e-12)

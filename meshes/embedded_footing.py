@@ -9,7 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_hmcontact.domain import Domain
+from fenicsx_hmcontact.domain import Domain, check_sizes
 
 
 def embedded_footing(
@@ -49,22 +49,16 @@ def embedded_footing(
         ValueError: If a length or ratio is not positive, growth negative, h_corner above h, or the
             footing not within the soil.
     """
-    lengths = dict(
-        h=h,
-        h_corner=h_corner,
+    check_sizes(
+        h,
+        {"h_corner": h_corner},
+        growth,
         ratio=ratio,
         half_width=half_width,
         height=height,
         width=width,
         depth=depth,
     )
-    for name, value in lengths.items():
-        if not value > 0.0:
-            raise ValueError(f"{name} must be positive, it is {value}.")
-    if not growth >= 0.0:
-        raise ValueError(f"growth must be zero or positive, it is {growth}.")
-    if not h_corner <= h:
-        raise ValueError(f"h_corner must be at most h, it is {h_corner}.")
     side = 0.5 * width
     if not half_width < side:
         raise ValueError(f"half_width must be below half the width, it is {half_width}.")

@@ -9,7 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_hmcontact.domain import Domain
+from fenicsx_hmcontact.domain import Domain, check_sizes
 
 Place = tuple[float, float]
 
@@ -62,15 +62,17 @@ def excavated_slope(
         ValueError: If a length or ratio is not positive, growth negative, h_fine above h, or slope
             or cut leave the block or meet.
     """
-    lengths = dict(h=h, h_fine=h_fine, ratio=ratio, width=width, height=height, crest=crest)
-    lengths |= dict(slope_height=slope_height, cut_start=cut_start)
-    for name, value in lengths.items():
-        if not value > 0.0:
-            raise ValueError(f"{name} must be positive, it is {value}.")
-    if not growth >= 0.0:
-        raise ValueError(f"growth must be zero or positive, it is {growth}.")
-    if not h_fine <= h:
-        raise ValueError(f"h_fine must be at most h, it is {h_fine}.")
+    check_sizes(
+        h,
+        {"h_fine": h_fine},
+        growth,
+        ratio=ratio,
+        width=width,
+        height=height,
+        crest=crest,
+        slope_height=slope_height,
+        cut_start=cut_start,
+    )
     for name, angle in dict(slope_angle=slope_angle, cut_angle=cut_angle).items():
         if not 0.0 < angle < 90.0:
             raise ValueError(f"{name} must be between 0 and 90 degrees, it is {angle}.")

@@ -11,7 +11,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_hmcontact.domain import Domain
+from fenicsx_hmcontact.domain import Domain, check_sizes
 
 _MIRROR = [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
 
@@ -67,9 +67,10 @@ def footing_over_cavity(
             footing as wide as the soil, or the cavity not within the soil.
     """
     corner = h if h_corner is None else h_corner
-    lengths = dict(
-        h=h,
-        h_corner=corner,
+    check_sizes(
+        h,
+        {"h_corner": corner},
+        growth,
         ratio=ratio,
         half_width=half_width,
         height=height,
@@ -79,13 +80,6 @@ def footing_over_cavity(
         cavity_depth=cavity_depth,
         cavity_radius=cavity_radius,
     )
-    for name, value in lengths.items():
-        if not value > 0.0:
-            raise ValueError(f"{name} must be positive, it is {value}.")
-    if not growth >= 0.0:
-        raise ValueError(f"growth must be zero or positive, it is {growth}.")
-    if not corner <= h:
-        raise ValueError(f"h_corner must be at most h, it is {corner}.")
     side = 0.5 * width
     if not half_width < side:
         raise ValueError(f"half_width must be below half the width, it is {half_width}.")

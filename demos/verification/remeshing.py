@@ -238,7 +238,7 @@ class Watched(hm.Simulation):
             return None
         prescribed = [model.dt, *(target for target, _ in model.histories)]
         state, values = model.save(), save_values(prescribed)
-        self._prescribe(self.t + dt, dt)
+        self.prescribe(self.t + dt, dt)
         _, failure, _ = self._agreed(model.solve)
         load = None if failure else model.load()
         model.restore(state)
@@ -494,7 +494,7 @@ def identity(options, report):
     relaxed = [start]
     with report.phase("relax"):
         # The conditions of the new model are those of no step yet.
-        run._prescribe(run.t, float(run.model.dt.value))
+        run.prescribe(run.t, float(run.model.dt.value))
         for _ in range(RELAXATIONS):
             run.model.solve()
             run.model.accept()
@@ -577,6 +577,8 @@ def consolidation(options, report):
                     series.append(value)
                 spot.x = o.half_width + (o.width - o.half_width) * step.t / o.duration
         except hm.TimeSteppingError as error:
+            if not report.steps:
+                raise
             failure = str(error)
         balance = max(balance, check_water())
     records, area = run.records, run.model.area()
@@ -586,7 +588,7 @@ def consolidation(options, report):
         "remeshes": len(records),
         "merged_area": sum(record.merged_total for record in records) / area,
         "merged_water": sum(record.merged_water for record in records),
-        "smallest_angle": min(record.smallest_angle[1] for record in records),
+        "smallest_angle": min((r.smallest_angle[1] for r in records), default=None),
         "plastic_strain_drift": run.drifts(),
         "newton_mean": report.newton_iterations / report.steps,
         "step_halvings": halvings,
@@ -722,6 +724,8 @@ def crossing(options, report):
                 for series, value in zip(curve.values(), values, strict=True):
                     series.append(value)
         except hm.TimeSteppingError as error:
+            if not report.steps:
+                raise
             failure = str(error)
     records = run.records
     report.figures |= {

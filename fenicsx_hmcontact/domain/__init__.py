@@ -2,7 +2,12 @@
 """Bodies and surfaces by name: gmsh groups in, a distributed mesh with whole node patches out."""
 
 from fenicsx_hmcontact.domain.domain import Domain
-from fenicsx_hmcontact.domain.gmsh_model import add_quadrilateral, align_nodes, gmsh_session
+from fenicsx_hmcontact.domain.gmsh_model import (
+    add_quadrilateral,
+    align_nodes,
+    check_sizes,
+    gmsh_session,
+)
 from fenicsx_hmcontact.domain.mesh_arrays import MeshArrays
 from fenicsx_hmcontact.domain.nodal_state import (
     NodalState,
@@ -19,6 +24,7 @@ __all__ = [
     "NodalState",
     "add_quadrilateral",
     "align_nodes",
+    "check_sizes",
     "function_state",
     "gather_states",
     "gmsh_session",

@@ -55,6 +55,28 @@ def gmsh_session(name: str) -> Iterator[Any]:
             gmsh.finalize()
 
 
+def check_sizes(h: float, finest: dict[str, float], growth: float, **lengths: float) -> None:
+    """Refuse sizes of a mesh that make no sense, by name.
+
+    Args:
+        h: Longest edges [m].
+        finest: Shortest edges [m], by the name of their option.
+        growth: By how much edges grow per distance.
+        lengths: Other lengths [m] and ratios.
+
+    Raises:
+        ValueError: If a length or ratio is not positive, growth negative, or the finest above h.
+    """
+    for name, value in ({"h": h} | finest | lengths).items():
+        if not value > 0.0:
+            raise ValueError(f"{name} must be positive, it is {value}.")
+    if not growth >= 0.0:
+        raise ValueError(f"growth must be zero or positive, it is {growth}.")
+    for name, value in finest.items():
+        if not value <= h:
+            raise ValueError(f"{name} must be at most h, it is {value}.")
+
+
 def add_quadrilateral(
     gmsh: Any,
     corners: Sequence[tuple[float, float]],

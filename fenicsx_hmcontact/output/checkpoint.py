@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from .root import write_whole
 
 FORMAT = "fenicsx_hmcontact checkpoint"
 VERSION = 1
@@ -38,8 +40,6 @@ def write_checkpoint(
     Raises:
         OSError: If the file cannot be written.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -47,15 +47,9 @@ def write_checkpoint(
         "description": dict(description),
     }
     words = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with open(part, "wb") as file:
-            np.savez(file, allow_pickle=False, **{_HEADER: words}, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **{_HEADER: words}, **arrays)
+    write_whole(Path(path), content.getvalue())
 
 
 def read_checkpoint(path: str | Path) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:

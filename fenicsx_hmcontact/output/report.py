@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import re
 import sys
 import time
@@ -22,7 +21,7 @@ import rich.progress
 from rich.console import Console
 from rich.table import Table
 
-from .root import on_root
+from .root import on_root, write_whole
 
 TOTAL = "total"
 """Name of the phase that runs from the making of a report to its end."""
@@ -223,7 +222,8 @@ class Report:
         """
         timing = self.timing()
         if path is not None:
-            on_root(self.comm, lambda: _write_atomically(Path(path), self._document(timing)))
+            document = self._document(timing).encode()
+            on_root(self.comm, lambda: write_whole(Path(path), document))
 
     def _document(self, timing: dict[str, float]) -> str:
         document = {
@@ -298,13 +298,6 @@ def _rows(values: Mapping[Any, Any], above: str = "") -> Iterator[tuple[str, str
             yield label, f"({len(value)} values)"
         else:
             yield label, _short(value)
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(text)
-    os.replace(part, path)
 
 
 def progress[T](

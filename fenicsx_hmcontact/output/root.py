@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 from collections.abc import Callable
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -38,6 +40,28 @@ def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T | None:
     if shared is not None:
         raise shared
     return result
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all; one of that name is replaced.
+
+    Args:
+        path: The file; its folder is made where there is none.
+        content: What it holds.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with open(part, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _sendable(error: Exception) -> Exception:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import base64
-import os
 import struct
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from .fields import check_names, gather_mesh, gather_values
-from .root import on_root
+from .root import on_root, write_whole
 
 TYPES = {"<f8": "Float64", "<i8": "Int64", "|u1": "UInt8"}
 """Names of numbers in NumPy and in VTK."""
@@ -240,9 +239,7 @@ def _spatial(values: Float, shape: tuple[int, ...]) -> Float:
 def _replace(path: Path, content: ET.Element) -> None:
     """Write a file whole or not at all."""
     ET.indent(content)
-    part = path.with_name(f"{path.name}.part")
-    part.write_bytes(ET.tostring(content, encoding="utf-8", xml_declaration=True))
-    os.replace(part, path)
+    write_whole(path, ET.tostring(content, encoding="utf-8", xml_declaration=True))
 
 
 def _pvd(frames: Sequence[tuple[float, str]]) -> ET.Element:

@@ -52,7 +52,8 @@ class RemeshRecord:
         unsettled: Bodies that would have changed further in more rounds.
         n_nodes: Number of nodes afterwards.
         smallest_angle: Smallest angle of all triangles before and afterwards [degrees].
-        merged: Area that bodies gained where boundary nodes were removed, by body [m^2].
+        merged: Area that bodies gained where boundary nodes were removed or creases filled, by body
+            [m^2].
         merged_total: The same with each triangle counted as positive.
         merged_water: Area gained by porous bodies, which is the water and the grains in it [m^2].
         histories: Integral of each history before and afterwards [m^2].
@@ -186,8 +187,9 @@ class Simulation(TimeStepping):
                 "smallest_angle": tuple(float(angles(a.points, a.cells).min()) for a in both),
             }
             arrays, whole = result.arrays, _carried(whole, result.transfer)
-            self._sizes = result.sizes
         self._continue(arrays, layers, whole)
+        if result is not None:
+            self._sizes = result.sizes
         record = comm.bcast(record)
         for name, after in self._known().items():
             record[name] = {key: (known[name][key], value) for key, value in after.items()}
@@ -218,13 +220,12 @@ class Simulation(TimeStepping):
         }
         layers = {body: names for body, names in layers.items() if names}
         found = on_root(self.model.comm, lambda: self._arrays.without(group, exposed))
-        arrays, whole = self._arrays, self._gather()
+        arrays, whole, sizes = self._arrays, self._gather(), self._sizes
         if found is not None:
             (arrays, kept), n = found, len(arrays.points)
-            whole = _carried(whole, Transfer.subset(kept, n))
-            self._sizes = self._sizes[kept]
-        self._quality = {}
+            whole, sizes = _carried(whole, Transfer.subset(kept, n)), sizes[kept]
         self._continue(arrays, layers, whole)
+        self._sizes, self._quality = sizes, {}
 
     def reset_displacements(self) -> None:
         """Begin a stage at the design geometry: stresses, histories and pressures stay. Collective.
@@ -336,7 +337,7 @@ class Simulation(TimeStepping):
         )
         run = cls(build, domain, remeshing, options=options)
         run.restore(description["stepping"])
-        run._prescribe(run.t, float(run.model.dt.value))
+        run.prescribe(run.t, float(run.model.dt.value))
         known, wanted = description["values"], run.model.nodal_state()
         if set(known) != set(wanted):
             raise CheckpointError(
@@ -423,7 +424,7 @@ class Simulation(TimeStepping):
         domain = Domain.from_arrays(mesh, comm, name=name, layers=layers)
         dt = float(self.model.dt.value)
         self.domain, self.model = domain, self._build(domain)
-        self._prescribe(self.t, dt)
+        self.prescribe(self.t, dt)
         self._arrays = domain.arrays()
         self._take_over(whole)
 

@@ -364,6 +364,57 @@ def test_forms_are_compiled_once_for_all_meshes(comm, monkeypatch):
         fresh.build(kinematics="finite")
 
 
+def test_groups_may_have_other_numbers(comm):
+    """Forms hold the numbers of groups; those of another mesh are its own."""
+
+    def turned(tags):
+        return {name: max(tags.values()) + min(tags.values()) - tag for name, tag in tags.items()}
+
+    domain = stack(comm, (7, 5), rows=4, levels=LEVELS, shift=0.1)
+    arrays = domain.arrays()
+    groups = {}
+    for name in ("bodies", "surfaces"):
+        tags = turned(getattr(arrays, name))
+        groups |= {name: tags}
+        which = "cell_groups" if name == "bodies" else "facet_groups"
+        total = max(tags.values(), default=0) + min(tags.values(), default=0)
+        groups[which] = (total - getattr(arrays, which)).astype(np.int32)
+    mine = replace(arrays, **groups) if comm.rank == 0 else None
+    other = hm.Domain.from_arrays(mine, comm, name="turned")
+    assert other.bodies == {"block_0": 2, "block_1": 1}
+    scene, answers = footing_drained(comm), []
+    scene.load("right_0", pressure=1e2)
+    for mesh in (domain, other):
+        model = scene.build(mesh)
+        for _ in hm.TimeStepping(model).run(1e3, 5e2):
+            pass
+        answers.append(evaluate(model.u, [(0.5, 0.3), (0.7, 0.8)]))
+    np.testing.assert_allclose(*answers, rtol=1e-9)
+
+
+@pytest.mark.mpi
+def test_water_on_a_surface_of_several_bodies(comm):
+    """A surface may lie on more bodies than one, and on layers; all of them must be porous."""
+    arrays = stack(comm, [3, 4, 5]).arrays()
+    tag = {name: value for name, value in arrays.surfaces.items() if name.startswith("left")}
+    left = np.isin(arrays.facet_groups, list(tag.values()))
+    arrays = replace(arrays, facet_groups=np.where(left, 4, arrays.facet_groups).astype(np.int32))
+    mine = arrays if comm.rank == 0 else None
+    layers = {"ground": ["block_0"], "cap": ["block_2"]}
+    domain = hm.Domain.from_arrays(mine, comm, name="side", layers=layers)
+    assert domain.bodies_of_surface("left_0") == ["ground", "block_1", "cap"]
+    assert domain.bodies_of_surface("right_2") == ["cap"]
+    assert domain.tags("cap") == domain.tags("block_2") == [3]
+    with pytest.raises(ValueError, match="on the bodies 'ground' and 'block_1' and 'cap'"):
+        domain.body_of_surface("left_0")
+    scene = hm.Scene(domain)
+    for name, k in (("ground", K), ("block_1", K), ("cap", None)):
+        scene.body(name, SOIL, permeability=k)
+    scene.inflow("left_0", 1e-9)
+    with pytest.raises(ValueError, match="'left_0' is given an inflow, but body 'cap' is dry"):
+        scene.build()
+
+
 def fresh_model(comm, **mesh):
     """A model whose forms were compiled for its own mesh."""
     scene = footing_drained(comm)
@@ -497,7 +548,11 @@ STATEMENTS = {
     ),
     "the inflow through surface 'top_0' is 'rain'": lambda s: s.inflow("top_0", "rain"),
     "nothing holds, loads or drains surface 'right_1'": lambda s: s.release("right_1"),
-    "the direction of gravity is": lambda s: s.gravity((0.0, 0.0)),
+    "the traction on surface 'top_1' needs two components, not 5.0": lambda s: s.load(
+        "top_1", traction=5.0
+    ),
+    "the direction of gravity is (0.0, 0.0)": lambda s: s.gravity((0.0, 0.0)),
+    "the direction of gravity is (0.0, 0.0, -1.0)": lambda s: s.gravity((0.0, 0.0, -1.0)),
     "unit weight of water is 0": lambda s: s.water(0.0),
 }
 
@@ -531,7 +586,10 @@ def redo(scene, **options):
 
 
 TOGETHER = {
-    "there is gravity, but no body has a unit_weight": [lambda s: s.gravity()],
+    "there is gravity, but no body has a unit_weight or is porous": [
+        lambda s: s.body("block_0", SOIL),
+        lambda s: s.gravity(),
+    ],
     "there is no gravity: scene.gravity": [lambda s: s.body("block_1", SOIL, unit_weight=1.0)],
     "the load on surface 'top_1' does nothing": [lambda s: s.load("top_1", pressure=1.0)],
     "'bottom_1' is fixed or moved and the secondary surface of contact 'base': swap": [
@@ -619,9 +677,58 @@ def test_runs_that_are_refused(comm):
     ]:
         with pytest.raises(ValueError, match=words):
             statement()
-    scene.load("right_0", pressure=lambda t: np.nan)
+    scene.load("right_0", pressure=lambda t: 0.0 if t < 1.5e3 else np.nan)
     with pytest.raises(ValueError, match=r"pressure on surface 'right_0' is \[nan\] at t = 2000 s"):
         run(scene, 2e3, 1e3)
+
+
+@pytest.mark.mpi
+@FINITE
+def test_refused_statements_are_refused_until_they_are_taken_back(comm, kinematics):
+    """What a run refuses leaves model and options as they were, and is not forgotten."""
+    scene = footing(comm)
+    scene.drain("bottom_0")
+    before, _ = run(scene, 1e3, 1e3, kinematics=kinematics)
+    u = before.u.x.array.copy()
+    scene.drain("top_1")
+    for _ in range(2):
+        with pytest.raises(ValueError, match="surface 'top_1' is drained, but body"):
+            scene.run(2e3, 1e3, newton=hm.NewtonOptions(1e-6))
+    scene.release("top_1")
+    scene.fix("top_1")
+    scene.load("right_0", pressure=lambda t: np.nan)
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"surface 'right_0' is .* at t = 1000 s"):
+            scene.run(2e3, 1e3, newton=hm.NewtonOptions(1e-6))
+    assert scene.model is before and np.array_equal(before.u.x.array, u)
+    scene.release("right_0")
+    model, _ = run(scene, 2e3, 1e3)
+    assert model.problem.newton == hm.NewtonOptions()
+
+
+@pytest.mark.mpi
+def test_pressures_of_other_bodies_are_refused(comm):
+    scene = footing(comm)
+    run(scene, 1e3, 1e3)
+    u = scene.model.u.x.array.copy()
+    for pressure, words in (
+        ({"block_0": 1.0, "nobody": 1.0}, "that of body 'nobody', which is unknown"),
+        ({"block_1": 1.0}, "body 'block_1' is dry and has no initial"),
+    ):
+        for statement in (scene.reset_displacements, scene.model.set_pressure):
+            with pytest.raises(ValueError, match=words):
+                statement(pressure)
+    assert np.array_equal(scene.model.u.x.array, u) and np.abs(u).max(initial=0.0) > 0.0
+
+
+@pytest.mark.mpi
+def test_water_weighs_in_ground_without_weight(comm):
+    """Gravity may be that of the water alone, which is at rest below its level."""
+    scene = column(stack(comm, [4], rows=4), 0.0)
+    scene.gravity()
+    scene.drain("top_0", level=3.0)
+    model, _ = run(scene, 4e10, 1e10)
+    np.testing.assert_allclose(evaluate(model.p, [(0.5, 0.25)]), 2.75 * GAMMA, rtol=1e-6)
 
 
 @pytest.mark.mpi
@@ -686,6 +793,47 @@ def test_stages_of_an_excavation(comm):
     assert set(scene.domain.surfaces) == {"bottom_0", "left_0", "right_0", "floor"}
 
 
+def two_apart(comm, weights):
+    """Two dry blocks that have nothing to do with each other, the lower one of one layer."""
+    arrays = stack(comm, [3, 4]).arrays()
+    mine = arrays if comm.rank == 0 else None
+    domain = hm.Domain.from_arrays(mine, comm, name="apart", layers={"ground": ["block_0"]})
+    scene = hm.Scene(domain)
+    for k, name in enumerate(("ground", "block_1")):
+        scene.body(name, SOIL, unit_weight=weights[k])
+        scene.fix(f"bottom_{k}")
+    scene.gravity()
+    run(scene, 1.0, 1.0)
+    return scene
+
+
+@pytest.mark.mpi
+def test_last_layer_takes_its_body_along(comm):
+    scene = two_apart(comm, (1e3, 1e3))
+    scene.remove("block_0", "floor")
+    model, _ = run(scene, 2.0, 1.0)
+    assert list(model.stresses) == ["block_1"] and "ground" not in scene.summary()
+    np.testing.assert_allclose(model.force("bottom_1"), (0.0, 500.0), atol=1e-9)
+
+
+@pytest.mark.mpi
+def test_refused_removal_leaves_the_scene_as_it_was(comm):
+    scene = two_apart(comm, (1e3, 0.0))
+    before, model = scene.summary(), scene.model
+    for words, group, over in (
+        ("the removal of 'block_0' lays no surface 'floor' bare", "block_0", 1.0),
+        ("there is gravity, but no body has a unit_weight", "block_0", 0.0),
+        ("'ground' has no tag of its own, its layers have: block_0", "ground", 0.0),
+        ("unknown body 'clay'; known: block_0, block_1", "clay", 0.0),
+    ):
+        with pytest.raises(ValueError, match=words):
+            scene.remove(group, "floor", over=over)
+    assert scene.summary() == before
+    run(scene, 2.0, 1.0)
+    assert scene.model is model
+    np.testing.assert_allclose(model.force("bottom_0"), (0.0, 500.0), atol=1e-9)
+
+
 @pytest.mark.mpi
 def test_scene_goes_on_from_a_checkpoint(comm, shared_tmp_path):
     """A scene stopped and restarted gives the figures of one that went on."""
@@ -705,7 +853,12 @@ def test_scene_goes_on_from_a_checkpoint(comm, shared_tmp_path):
     went_on = [one.model.force("top_0") for _ in one.run(5.0, 1.0)]
     other = scene()
     other.restart(file, kinematics="finite", remesh=hm.Remeshing())
+    model = other.model
     again = [other.model.force("top_0") for _ in other.run(5.0, 1.0)]
     assert np.allclose(again, went_on, rtol=1e-10)
+    assert other.model is model and other.simulation.remeshing == one.simulation.remeshing
+    assert other.simulation.remeshing.keep == ("bottom_0", "top_0")
+    with pytest.raises(TypeError, match="unexpected keyword argument 'start'"):
+        scene().restart(file, start=1.0)
     with pytest.raises(RuntimeError, match="before the first run"):
         other.restart(file)

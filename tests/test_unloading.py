@@ -73,6 +73,45 @@ def test_traction_is_carried_to_other_meshes_and_supports(comm):
     assert heave(scene) == pytest.approx(heave(plain), rel=1e-6)
 
 
+def held_traction(scene):
+    """Traction held on the floor by its coordinates, of all ranks; (n, 2) each."""
+    model = scene.model
+    V, traction = model.u.function_space, model.saved["traction on floor"]
+    facets = model.domain.facet_tags.find(model.domain.surface("floor"))
+    nodes = fem.locate_dofs_topological(V, 1, facets)
+    x, values = V.tabulate_dof_coordinates()[nodes, :2], traction.x.array.reshape(-1, 2)[nodes]
+    return (np.concatenate(model.comm.allgather(part)) for part in (x, values))
+
+
+def test_what_loads_carry_is_not_held(comm):
+    """A pressure on the side balances the stress there: nothing is left for the floor to hold."""
+    pressure = 1e5
+    scene = hm.Scene(layered(comm))
+    scene.body("soil", hm.LinearElastic(E, 0.0), unit_weight=WEIGHT)
+    scene.gravity()
+    scene.fix("bottom_0", "y")
+    scene.fix("left_0", "x")
+    scene.load("right_0", pressure=pressure)
+    for _ in scene.run(0.0, dt=1.0, start=-1.0):
+        pass
+    scene.remove("upper", "floor", over=100.0)
+    x, held = held_traction(scene)
+    free = x[:, 0] > 0.01
+    assert np.abs(held[free, 0]).max() < 1e-3 * pressure
+    np.testing.assert_allclose(held[:, 1].mean(), -0.5 * WEIGHT, rtol=0.05)
+
+
+def test_half_is_left_to_hold_after_half_the_time(comm):
+    """What a surface holds already is not counted among the forces that it has to hold."""
+    scene = dug(comm, 100.0)
+    _, before = held_traction(scene)
+    for _ in scene.run(50.0, dt=25.0):
+        pass
+    scene.model.hold("floor")
+    _, after = held_traction(scene)
+    np.testing.assert_allclose(after[:, 1], 0.5 * before[:, 1], rtol=1e-6)
+
+
 @pytest.mark.parametrize("over", [-1.0, float("inf"), float("nan")])
 def test_times_that_make_no_sense_are_refused(comm, over):
     scene = dug(comm, 0.0)

@@ -289,14 +289,24 @@ class Domain:
         """
         return self._known(self.surfaces, name, "surface")
 
+    def tags(self, name: str) -> list[int]:
+        """Tags of the groups that a body consists of.
+
+        Args:
+            name: A body group, or a body of several layers.
+
+        Raises:
+            ValueError: If there is no such body.
+        """
+        return [self.body(group) for group in self.layers.get(name, (name,))]
+
     def cells(self, name: str) -> npt.NDArray[np.int32]:
         """Owned cells of a body group, or of all layers of a body; local indices, ascending.
 
         Raises:
             ValueError: If there is no such body.
         """
-        tags = [self.body(group) for group in self.layers.get(name, (name,))]
-        return _owned(self.mesh, self.cell_tags, tags)
+        return _owned(self.mesh, self.cell_tags, self.tags(name))
 
     def facets(self, name: str) -> npt.NDArray[np.int32]:
         """Owned facets of a surface group; local indices, ascending.
@@ -306,18 +316,25 @@ class Domain:
         """
         return _owned(self.mesh, self.facet_tags, [self.surface(name)])
 
+    def bodies_of_surface(self, name: str) -> list[str]:
+        """Names of the bodies that a surface lies on. Collective.
+
+        Raises:
+            ValueError: If there is no such surface.
+        """
+        cell_of_facet = self.mesh.topology.connectivity(1, 2)
+        cells = cell_of_facet.array[cell_of_facet.offsets[self.facets(name)]]
+        tags = self.cell_tags.values[np.searchsorted(self.cell_tags.indices, cells)]
+        found = set().union(*self.mesh.comm.allgather(set(tags.tolist())))
+        return [body for body in self.body_names if found.intersection(self.tags(body))]
+
     def body_of_surface(self, name: str) -> str:
         """Name of the body that a surface lies on. Collective.
 
         Raises:
             ValueError: On all ranks, if there is no such surface or it lies on several bodies.
         """
-        cell_of_facet = self.mesh.topology.connectivity(1, 2)
-        cells = cell_of_facet.array[cell_of_facet.offsets[self.facets(name)]]
-        tags = self.cell_tags.values[np.searchsorted(self.cell_tags.indices, cells)]
-        found = set().union(*self.mesh.comm.allgather(set(tags.tolist())))
-        bodies = self._body_of_group()
-        names = sorted({bodies[group] for group, tag in self.bodies.items() if tag in found})
+        names = self.bodies_of_surface(name)
         if len(names) != 1:
             listed = " and ".join(f"'{body}'" for body in names)
             raise ValueError(

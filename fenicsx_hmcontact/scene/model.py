@@ -15,7 +15,7 @@ from dolfinx.mesh import EntityMap
 
 from .. import _compat
 from ..contact import ContactPair, InterfaceState
-from ..domain import Domain, NodalState
+from ..domain import Domain
 from ..materials import MaterialStress
 from ..materials.kinematics import Kinematics, check_kinematics
 from ..model import CompiledModel
@@ -153,7 +153,7 @@ class SceneModel(TransientModel):
             previous,
             time=self._time,
             histories=self._histories,
-            saved=list(self._tractions.values()),
+            saved={f"traction on {name}": held for name, held in self._tractions.items()},
             follow=self._move_meshes if self._finite else None,
         )
 
@@ -253,27 +253,11 @@ class SceneModel(TransientModel):
             )
         )
         lengths.scatter_reverse(la.InsertMode.add)
-        forces, n = self.problem.bulk_forces(self.u), len(traction.x.array)
         traction.x.array[:] = 0.0
+        forces, n = self.problem.bulk_forces(self.u), len(traction.x.array)
         there = lengths.array[:n] > 0.0
         traction.x.array[there] = forces.x.array[there] / lengths.array[:n][there]
         traction.x.scatter_forward()
-
-    def nodal_state(self) -> dict[str, NodalState]:
-        """What the model holds between two steps, see `TransientModel`. Collective."""
-        states = super().nodal_state()
-        return {self._saved_names.get(name, name): state for name, state in states.items()}
-
-    def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
-        """Start from what `nodal_state` returned, on this mesh or another. Collective."""
-        before = super().nodal_state()
-        known = {name: states.get(new, before[name]) for name, new in self._saved_names.items()}
-        super().set_nodal_state({**states, **known})
-
-    @property
-    def _saved_names(self) -> dict[str, str]:
-        """Names of states by surface, whatever their number."""
-        return {f"saved {i}": f"traction on {surface}" for i, surface in enumerate(self._tractions)}
 
     # --- building ---------------------------------------------------------------------------
 
@@ -295,13 +279,9 @@ class SceneModel(TransientModel):
         self._histories.append((constant, prescribed))
         return constant
 
-    def _tags(self, body: str) -> tuple[int, ...]:
-        groups = self.domain.layers.get(body, (body,))
-        return tuple(self.domain.body(group) for group in groups)
-
     def _bulk(self, name: str, options: ModelOptions, v: Any, q: Any, step: fem.Constant) -> Any:
         """Equilibrium and water balance of a body."""
-        said, body, tags = self._said, self._said.bodies[name], self._tags(name)
+        said, body, tags = self._said, self._said.bodies[name], tuple(self.domain.tags(name))
         first = next(iter(self.stresses.values()), None)
         stress = self.stresses[name] = MaterialStress(
             body.material,
@@ -435,13 +415,17 @@ class SceneModel(TransientModel):
         Args:
             pressures: By body, a number or from coordinates [m], shape (3, n), to pressures [Pa],
                 shape (n,).
+
+        Raises:
+            ValueError: If a body is unknown or dry.
         """
+        self._said.check_pressures(pressures)
         if self.p is None or self.p_n is None or self.porous is None:
             return
         tags = self.porous.cell_tags
         for name, pressure in pressures.items():
             words = f"the initial pore pressure of body '{name}'"
-            cells = tags.indices[np.isin(tags.values, self._tags(name))]
+            cells = tags.indices[np.isin(tags.values, self.domain.tags(name))]
             self.p.interpolate(partial(at_points, pressure, words), cells0=cells)
         self.p.x.scatter_forward()
         self.p_n.x.array[:] = self.p.x.array
@@ -467,7 +451,7 @@ class SceneModel(TransientModel):
         for body, found in values.items():
             means, cells = found.mean(axis=1), self.stresses[body].node_cells
             if cells is not None:
-                mine = cells_of(self._tags(body), self.domain.cell_tags, cells)
+                mine = cells_of(tuple(self.domain.tags(body)), self.domain.cell_tags, cells)
                 array[cells.block_dofs(space)[mine]] = means
                 continue
             owned = self.domain.cells(body)

@@ -231,11 +231,12 @@ class Scene:
             raise ValueError(
                 f"the load on surface '{surface}' must be either a pressure or a traction"
             )
-        kind, values = "pressure", (pressure,) if traction is None else tuple(traction)
-        if traction is not None:
-            kind = "traction"
-            if len(values) != 2:
-                raise ValueError(f"the traction on surface '{surface}' needs two components")
+        if traction is not None and np.array(traction, object).shape != (2,):
+            raise ValueError(
+                f"the traction on surface '{surface}' needs two components, not {traction!r}"
+            )
+        kind = "pressure" if traction is None else "traction"
+        values = (pressure,) if traction is None else tuple(traction)
         words = f"the {kind} on surface '{surface}'"
         self._said.state(self._said.loads, surface, Prescribed(words, kind, values))
 
@@ -321,9 +322,11 @@ class Scene:
         Raises:
             ValueError: If it is none.
         """
-        length = math.hypot(*direction)
+        length = math.hypot(*direction) if np.shape(direction) == (2,) else 0.0
         if not (length > 0.0 and math.isfinite(length)):
-            raise ValueError(f"the direction of gravity is {direction}; it must have a length")
+            raise ValueError(
+                f"the direction of gravity is {direction}; it must have two components and a length"
+            )
         self._said.gravity = (direction[0] / length, direction[1] / length)
         self._said.version += 1
 
@@ -444,11 +447,10 @@ class Scene:
                 f"{self._options.kinematics!r} strain: it is the same in all runs"
             )
         kept = self._kept(remesh or self._remesh, options)
-        self._options, self._remesh = options, remesh or self._remesh
         self.simulation.accept()
         if self._made_of != (self._said.version, options):
-            self._go_on()
-        self.simulation.remeshing = kept
+            self._go_on(options)
+        self._remesh, self.simulation.remeshing = remesh or self._remesh, kept
         return self.simulation.run(times, dt, bar=bar)
 
     def summary(self) -> str:
@@ -473,26 +475,40 @@ class Scene:
 
         Raises:
             RuntimeError: If the scene has not been run.
-            ValueError: If there is no such group, nothing would be left, or the time is negative.
+            ValueError: If there is no such group, nothing would be left or, over a time, laid bare,
+                if the time is negative, or the rest is refused as in `build`. The statements then
+                are as they were.
         """
         if not 0.0 <= over < math.inf:
             raise ValueError(f"the time in which '{group}' is removed is {over} s")
         simulation = self._running("remove")
         comm = self.model.comm
-        arrays = self.domain.arrays()
-        found = on_root(comm, lambda: arrays.without(group, exposed)[0].surfaces)
-        gone = set(self.domain.surfaces) - set(comm.bcast(found))
-        self._said.forget(group, gone)
-        simulation.remove(group, exposed)
+        domain, arrays, before = self.domain, self.domain.arrays(), self._said
+        tag = domain.body(group)
+        found = on_root(comm, lambda: list(arrays.without(group, exposed)[0].surfaces))
+        left: list[str] = comm.bcast(found)
+        if over > 0.0 and exposed not in left:
+            raise ValueError(
+                f"the removal of '{group}' lays no surface '{exposed}' bare that could be unloaded "
+                "over a time"
+            )
+        bodies = [name for name in domain.body_names if domain.tags(name) == [tag]]
+        self._said = before.copy()
+        self._said.forget(bodies, set(domain.surfaces) - set(left))
+        try:
+            simulation.remove(group, exposed)
+        except Exception:
+            self._said = before
+            raise
         if over > 0.0:
             begin = simulation.t
-            left = Prescribed(
+            part = Prescribed(
                 f"the traction left on surface '{exposed}'",
                 "part",
                 (lambda t: max(1.0 - (t - begin) / over, 0.0),),
             )
-            self._said.state(self._said.unloadings, exposed, left)
-            self._go_on()
+            self._said.state(self._said.unloadings, exposed, part)
+            self._go_on(self._options)
             self.model.hold(exposed)
 
     def reset_displacements(self, pressure: Mapping[str, InSpace | float] | None = None) -> None:
@@ -504,8 +520,11 @@ class Scene:
 
         Raises:
             RuntimeError: If the scene has not been run.
+            ValueError: If one of these bodies is unknown or dry.
         """
-        self._running("reset_displacements").reset_displacements()
+        simulation = self._running("reset_displacements")
+        self._said.check_pressures(pressure or ())
+        simulation.reset_displacements()
         if pressure:
             self.model.set_pressure(pressure)
 
@@ -513,12 +532,29 @@ class Scene:
         """Write all that the run needs to go on, see `Simulation.write_checkpoint`. Collective."""
         self._running("write_checkpoint").write_checkpoint(path)
 
-    def restart(self, path: str | Path, **options: Any) -> None:
+    def restart(
+        self,
+        path: str | Path,
+        *,
+        kinematics: Kinematics | None = None,
+        smoothing: Smoothing | None = None,
+        remesh: Remeshing | None = None,
+        newton: NewtonOptions | None = None,
+        petsc_options: Mapping[str, Any] | None = None,
+        steps: StepOptions | None = None,
+    ) -> None:
         """Take the place of the first run by a checkpoint of the same scene. Collective.
+
+        Options are those of `run`, as of the run that wrote it.
 
         Args:
             path: The file; written on any number of ranks.
-            options: Those of `run` but times and dt, as of the run that wrote it.
+            kinematics: As `run`.
+            smoothing: As `run`.
+            remesh: As `run`.
+            newton: As `run`.
+            petsc_options: As `run`.
+            steps: As `run`.
 
         Raises:
             FileNotFoundError: If there is no such file.
@@ -527,11 +563,13 @@ class Scene:
         """
         if self.simulation is not None:
             raise RuntimeError("restart comes before the first run")
-        remesh, steps = options.pop("remesh", None), options.pop("steps", None)
-        self._options = self._changed(**options)
+        self._options = self._changed(
+            kinematics=kinematics, smoothing=smoothing, newton=newton, petsc_options=petsc_options
+        )
+        self._remesh = remesh
         self.simulation = Simulation.restart(
             path,
-            lambda domain: self._build(domain, self._options),
+            self._rebuild,
             self._domain.mesh.comm,
             self._kept(remesh, self._options),
             options=steps or StepOptions(),
@@ -576,7 +614,8 @@ class Scene:
 
     def _build(self, domain: Domain, options: ModelOptions) -> SceneModel:
         """Make the model; its forms are compiled once for all meshes."""
-        key = self._said.version, options.kinematics, options.smoothing
+        groups = domain.bodies, domain.surfaces, domain.layers
+        key = self._said.version, options.kinematics, options.smoothing, groups
         compiled = None
         if self._compiled is not None and self._compiled[0] == key:
             compiled = self._compiled[1]
@@ -586,16 +625,27 @@ class Scene:
 
     def _rebuild(self, domain: Domain) -> SceneModel:
         """Make the model of the runs."""
+        model = self._build(domain, self._options)
         self._made_of = self._said.version, self._options
-        return self._build(domain, self._options)
+        return model
 
-    def _go_on(self) -> None:
-        """Build the model anew from what is stated now, at the state reached. Collective."""
+    def _go_on(self, options: ModelOptions) -> None:
+        """Build the model anew from what is stated now, at the state reached. Collective.
+
+        Where that fails all is as it was.
+        """
         assert self.simulation is not None
-        old = self.model
-        state, self.simulation.model = old.nodal_state(), self._rebuild(old.domain)
-        self.model.dt.value = old.dt.value
-        self.model.set_nodal_state(state)
+        simulation, old, before = self.simulation, self.model, (self._options, self._made_of)
+        state = old.nodal_state()
+        try:
+            self._options = options
+            simulation.model = model = self._rebuild(old.domain)
+            simulation.prescribe(simulation.t, float(old.dt.value))
+            model.set_nodal_state({**model.nodal_state(), **state})
+        except Exception:
+            simulation.model = old
+            self._options, self._made_of = before
+            raise
 
 
 def _is_permeability(k: npt.NDArray[np.float64]) -> bool:

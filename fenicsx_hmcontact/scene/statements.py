@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -143,10 +143,18 @@ class Statements:
             table[key] = what
             self.version += 1
 
-    def forget(self, group: str, surfaces: Collection[str]) -> None:
-        """Take back what was stated about a body and surfaces that are no more."""
-        for table in (self.bodies, self.stresses, self.pressures):
-            table.pop(group, None)
+    def copy(self) -> Statements:
+        """The same statements, in tables of their own."""
+        tables: dict[str, Any] = {
+            key: dict(table) for key, table in vars(self).items() if isinstance(table, dict)
+        }
+        return replace(self, **tables)
+
+    def forget(self, bodies: Collection[str], surfaces: Collection[str]) -> None:
+        """Take back what was stated about bodies and surfaces that are no more."""
+        for body in bodies:
+            for table in (self.bodies, self.stresses, self.pressures):
+                table.pop(body, None)
         for surface in surfaces:
             for name in self.contacts_of(surface):
                 del self.contacts[name]
@@ -198,8 +206,8 @@ class Statements:
             if name not in self.bodies:
                 raise ValueError(f"body '{name}' has no material: scene.body('{name}', ...)")
         weights = any(body.unit_weight for body in self.bodies.values())
-        if self.gravity is not None and not weights:
-            raise ValueError("there is gravity, but no body has a unit_weight")
+        if self.gravity is not None and not weights and not self.porous:
+            raise ValueError("there is gravity, but no body has a unit_weight or is porous")
         if self.gravity is None and weights:
             raise ValueError("a body has a unit_weight, but there is no gravity: scene.gravity()")
         for surface in self.loads:
@@ -216,11 +224,25 @@ class Statements:
             self._check_porous(surface, "given an inflow", domain)
             if surface in self.drains:
                 raise ValueError(f"surface '{surface}' has both an inflow and a drain")
-        for name in (*self.pressures, *self.stresses):
-            if name not in self.bodies:
-                raise ValueError(f"the initial state is that of body '{name}', which is unknown")
-            if name in self.pressures and not self.bodies[name].porous:
+        for name in self.stresses:
+            self._check_known(name)
+        self.check_pressures(self.pressures)
+
+    def check_pressures(self, bodies: Iterable[str]) -> None:
+        """Refuse pore pressures of bodies that have none.
+
+        Raises:
+            ValueError: If a body is unknown or dry.
+        """
+        for name in bodies:
+            self._check_known(name)
+            if not self.bodies[name].porous:
                 raise ValueError(f"body '{name}' is dry and has no initial pore pressure")
+
+    def _check_known(self, body: str) -> None:
+        """Refuse an initial state of a body that is not there."""
+        if body not in self.bodies:
+            raise ValueError(f"the initial state is that of body '{body}', which is unknown")
 
     def _check_contact(self, name: str, contact: Contact, domain: Domain) -> None:
         """Refuse a contact that cannot be."""
@@ -279,26 +301,11 @@ class Statements:
 
     def _check_porous(self, surface: str, what: str, domain: Domain) -> None:
         """Refuse water at a surface on a dry body. Collective."""
-        on = bodies_of(domain, surface)
+        on = domain.bodies_of_surface(surface)
         if dry := [name for name in on if not self.bodies[name].porous]:
             raise ValueError(
                 f"surface '{surface}' is {what}, but body '{dry[0]}' is dry: it has no permeability"
             )
-
-
-def bodies_of(domain: Domain, surface: str) -> list[str]:
-    """Names of the bodies that a surface lies on. Collective."""
-    mesh, tag = domain.mesh, domain.surface(surface)
-    facets = domain.facet_tags.indices[domain.facet_tags.values == tag]
-    around = mesh.topology.connectivity(1, 2)
-    cells = np.concatenate([np.zeros(0, np.int32), *(around.links(f) for f in facets)])
-    tags = domain.cell_tags.values[np.isin(domain.cell_tags.indices, cells)]
-    found = set().union(*mesh.comm.allgather(set(tags.tolist())))
-    return [
-        name
-        for name in domain.body_names
-        if found & {domain.body(group) for group in domain.layers.get(name, (name,))}
-    ]
 
 
 def at_points(value: InSpace | float, words: str, x: Float) -> Float:

@@ -60,8 +60,7 @@ def describe(said: Statements, domain: Domain, strain: str | None) -> str:
 def _count_nodes(domain: Domain, body: str) -> int:
     """Number of nodes of a body. Collective."""
     topology = domain.mesh.topology
-    groups = [domain.body(group) for group in domain.layers.get(body, (body,))]
-    cells = domain.cell_tags.indices[np.isin(domain.cell_tags.values, groups)]
+    cells = domain.cell_tags.indices[np.isin(domain.cell_tags.values, domain.tags(body))]
     vertices = np.unique(topology.connectivity(2, 0).array.reshape(-1, 3)[cells])
     owned = int(np.sum(vertices < topology.index_map(0).size_local))
     return int(domain.mesh.comm.allreduce(owned))

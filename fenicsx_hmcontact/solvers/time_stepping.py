@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from mpi4py import MPI
@@ -175,7 +176,8 @@ class TransientModel:
         previous: Functions at the start of the step, each with the one at its end: ``(u_n, u)``.
         time: Time at the end of the step [s], a constant in the residual or in its data.
         histories: Loads, prescribed displacements and others, with their values in time.
-        saved: Functions and constants, besides the unknowns, that a step or its check changes.
+        saved: Functions and constants by name, besides the unknowns, that a step or its check
+            changes.
         check: Raises `StepRejected` where a converged step is not to be had.
         follow: Lets what else there is follow an accepted step; at finite strain the mesh, as
             ``lambda: problem.move_mesh(u, u_n)``.
@@ -189,7 +191,7 @@ class TransientModel:
         *,
         time: fem.Constant | None = None,
         histories: Sequence[History] = (),
-        saved: Sequence[Stored] = (),
+        saved: Mapping[str, Stored] = MappingProxyType({}),
         check: Callable[[], None] | None = None,
         follow: Callable[[], None] | None = None,
     ) -> None:
@@ -220,8 +222,9 @@ class TransientModel:
             ValueError: If something in it cannot be carried to another mesh.
         """
         states = self.problem.nodal_state()
-        for i, item in enumerate(self.saved):
-            name = f"saved {i}"
+        for name, item in self.saved.items():
+            if name in states:
+                raise ValueError(f"'{name}' in saved has the name of a state of the problem")
             if isinstance(item, fem.Function):
                 states[name] = function_state(item)
             else:
@@ -231,8 +234,8 @@ class TransientModel:
 
     def set_nodal_state(self, states: Mapping[str, NodalState]) -> None:
         """Start from what `nodal_state` returned, on this mesh or another. Collective."""
-        for i, item in enumerate(self.saved):
-            state = states[f"saved {i}"]
+        for name, item in self.saved.items():
+            state = states[name]
             if isinstance(item, fem.Function):
                 set_function(item, state)
             else:
@@ -243,13 +246,13 @@ class TransientModel:
 
     def save(self) -> Any:
         """Copy the state."""
-        return self.problem.save(), save_values(self.saved)
+        return self.problem.save(), save_values(self.saved.values())
 
     def restore(self, state: Any) -> None:
         """Go back to a saved state, bit for bit. Collective."""
         problem, values = state
         self.problem.restore(problem)
-        restore_values(self.saved, values)
+        restore_values(self.saved.values(), values)
 
 
 def save_values(items: Iterable[Stored]) -> list[npt.NDArray[np.float64]]:
@@ -386,6 +389,22 @@ class TimeStepping:
             self._to_accept = False
             self.model.accept()
 
+    def prescribe(self, t: float, dt: float) -> None:
+        """Set the length of the step, and what is prescribed at its end. Collective.
+
+        Every step does so by itself. Call it where a model is to be seen at a time without one.
+
+        Args:
+            t: Time at the end of the step [s].
+            dt: Its length [s].
+        """
+        model = self.model
+        model.dt.value = dt
+        if model.time is not None:
+            model.time.value = t
+        for target, value in model.histories:
+            _set_value(target, value(t))
+
     def save(self) -> dict[str, Any]:
         """Time and lengths of the steps, to go on with in another run by `restore`."""
         return {"t": self.t, "lengths": self._lengths and self._lengths.save()}
@@ -407,7 +426,7 @@ class TimeStepping:
         failures: list[_Failure] = []
         while True:
             t, dt = lengths.next()
-            self._prescribe(t, dt)
+            self.prescribe(t, dt)
             result, failure, error = self._agreed(model.solve)
             if failure is None:
                 _, failure, error = self._agreed(model.check)
@@ -424,15 +443,6 @@ class TimeStepping:
                 raise TimeSteppingError(message, self.t, dt) from error
             words = f"step {dt:g} s fails, next {lengths.next()[1]:g} s; {failure.message}"
             self._log(f"t = {self.t:g} s: {words}")
-
-    def _prescribe(self, t: float, dt: float) -> None:
-        """Set the length of the step, and what is prescribed at its end."""
-        model = self.model
-        model.dt.value = dt
-        if model.time is not None:
-            model.time.value = t
-        for target, value in model.histories:
-            _set_value(target, value(t))
 
     def _hopeless(self, failures: list[_Failure], dt: float) -> str:
         """Say why no shorter step is to be tried after some of one step; empty if one is."""

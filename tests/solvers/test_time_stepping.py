@@ -366,7 +366,7 @@ class Growth:
             [(self.u_n, self.u)],
             time=self.time,
             histories=histories(self),
-            saved=[self.field],
+            saved={"field": self.field},
             check=check,
         )
 
@@ -447,6 +447,18 @@ def test_values_come_back_to_the_last_bit(comm):
     s.field.x.array[:] = s.load.value = 8.0
     restore_values([s.field, s.load], values)
     assert s.field.x.array.tobytes() == before.tobytes() and s.load.value == 0.0
+
+
+@pytest.mark.mpi
+def test_saved_values_are_carried_by_name(comm):
+    one, other = Growth(comm), Growth(comm)
+    one.field.interpolate(lambda x: np.sin(x[0]))
+    states = one.model.nodal_state()
+    other.model.set_nodal_state(states)
+    assert "field" in states and other.field.x.array.tobytes() == one.field.x.array.tobytes()
+    one.model.saved = {"field u": one.field}
+    with pytest.raises(ValueError, match="'field u' in saved has the name of a state"):
+        one.model.nodal_state()
 
 
 def flat(state):

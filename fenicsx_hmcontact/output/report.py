@@ -222,10 +222,9 @@ class Report:
         """
         timing = self.timing()
         if path is not None:
-            document = self._document(timing).encode()
-            on_root(self.comm, lambda: write_whole(Path(path), document))
+            on_root(self.comm, lambda: write_whole(Path(path), self._document(timing)))
 
-    def _document(self, timing: dict[str, float]) -> str:
+    def _document(self, timing: dict[str, float]) -> bytes:
         document = {
             "name": self.name,
             "parameters": _plain(self.parameters, "parameter"),
@@ -236,7 +235,7 @@ class Report:
             "timing": timing,
             "figures": _plain(self.figures, "figure"),
         }
-        return json.dumps(document, indent=2, allow_nan=False) + "\n"
+        return (json.dumps(document, indent=2, allow_nan=False) + "\n").encode()
 
     def table(self, file: IO[str] | None = None) -> None:
         """Print figures and timing on rank 0. Collective.

@@ -602,8 +602,13 @@ class ContactProblem:
             condensation.transmit(transmitted)
             for coupling in self._sliding:
                 coupling.update(transmitted, self._diagonal, self._moved, damped)
-            condensation.constrain(self._dependences)
             self._take_up_water()
+            # Films of several pairs may feed the same node.
+            transmitted = self._raw.copy()
+            condensation.transmit(transmitted)
+            for coupling in self._sliding:
+                coupling.follow_water(transmitted, self._diagonal, self._moved)
+            condensation.constrain(self._dependences)
         added = condensation.offset
         if self._film.nnz:
             added = added + self._dt() * (self._film @ condensation.relative(current))

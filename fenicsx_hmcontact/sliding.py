@@ -143,6 +143,8 @@ class SlidingCoupling:
         self._check_overlap(gap)
         self.status = ContactStatus.open(len(dropped))
         self.status.closed = kept & (gap <= TOUCHING * self._surfaces[0].lengths.max())
+        if self.water is not None:
+            self.water.begin(self.status.closed)
         self.settled = True
         self._held: HeldBound | None = None
         self._last_slip = self.kinematics.slip()
@@ -235,7 +237,7 @@ class SlidingCoupling:
         self._last_slip = self.kinematics.slip()
         self.kinematics.start_step()
         if self.water is not None:
-            self.water.commit()
+            self.water.commit(self.status.closed)
         self.release()
         self._committed = self.status
 
@@ -290,7 +292,7 @@ class SlidingCoupling:
         self._committed = ContactStatus(closed, slipping & closed, direction)
         self._last_slip = nodal["last slip"]
         if self.water is not None:
-            self.water.set_values(values)
+            self.water.set_values(values, closed)
         self.reset()
 
     def place(self, current: Float) -> None:
@@ -349,9 +351,20 @@ class SlidingCoupling:
         trial_pressure = np.where(before.closed, pressure, pressure - constant * gap)
         self._constrain(force, np.maximum(trial_pressure, 0.0), stiffness)
         if self.water is not None:
-            closed = self.status.closed
-            flowing = self.water.flow(self.dependences[1], closed, residual, diagonal)
-            self.dependences[1] = flowing
+            self.water.fill(self.status.closed)
+
+    def follow_water(self, residual: Float, diagonal: Float, moved: bool) -> None:
+        """Write the conditions of the water down, when all films are filled. Collective.
+
+        Args:
+            residual: Local array of the residual with the water of all films, and with what
+                surfaces pass on to each other.
+            diagonal: Local array of the diagonal of the tangent.
+            moved: Whether an increment has been made in this step.
+        """
+        if self.water is not None:
+            states = residual, diagonal, moved
+            self.dependences[1] = self.water.conditions(self.dependences[1], *states)
 
     def state(self, residual: Float) -> InterfaceState:
         """What acts between the surfaces (Eq. 71). Collective.

@@ -103,10 +103,10 @@ class SlidingWater:
         self.meeting = self._taken.copy()
         self.outside = self._flow.outside
         self.free_ends = np.full(len(surfaces[0].nodes), self.outside is not None and wet[0])
-        self._before, self.volume = self._covered_gap(), self._gap_volume()
         self.film: MovingFilm | None = None
         self.taken_up = self.swept = 0.0
 
+    volume: float
     pressure: GapPressure
 
     @property
@@ -144,39 +144,53 @@ class SlidingWater:
             coefficients = placed(X[related], shape, column=first)
         return Dependence(numbers, secondary, coefficients, np.zeros(secondary.size, bool))
 
-    def flow(
-        self, coupled: Dependence, closed: Bool, residual: Float, diagonal: Float
+    def fill(self, closed: Bool) -> None:
+        """Put the film between the surfaces where they are.
+
+        Args:
+            closed: Nodes where the solids touch; shape (n_s,).
+        """
+        closed = self._closed_before if self._flow.lagged else self._without_gap(closed)
+        faces, dt = (self._kinematics, self.pressure), self._time_step()
+        self.film = MovingFilm(self._flow, *faces, closed, self._before, dt)
+
+    def conditions(
+        self, coupled: Dependence, residual: Float, diagonal: Float, moved: bool
     ) -> Dependence:
         """Write the water in the gap down; where nothing is between the faces there is no drop.
 
         Args:
             coupled: How the pore pressures depend on each other.
-            closed: Nodes where the solids touch; shape (n_s,).
-            residual: Local array of the residual with what surfaces pass on to each other.
+            residual: Local array of the residual with the water of all films, and with what
+                surfaces pass on to each other.
             diagonal: Local array of the diagonal of the tangent.
+            moved: Whether an increment has been made in this step.
         """
-        kinematics, water, first = self._kinematics, self.pressure, self._displacements.size
-        size = max(float(np.abs(points).max()) for points in kinematics.points)
-        closed = self._beside_closed(closed) | (kinematics.aperture() <= NO_GAP * size)
-        film = MovingFilm(self._flow, kinematics, water, closed, self._before, self._time_step())
-        self.film = film
+        assert self.film is not None
+        film, water, first = self.film, self.pressure, self._displacements.size
+        kinematics, n = self._kinematics, len(water.related)
         d, d_p = kinematics.derivatives, kinematics.pressure_derivatives
+        if self._flow.lagged and not moved:
+            # Through new apertures old pressures make floods; what surfaces on the move would pass
+            # on of them is not to be foreseen.
+            d = d_p = None
         of_volumes, of_leak = film.of_coordinates(d, d_p)
         m = first + of_volumes.shape[0]
         added = placed(of_volumes, (m, m), row=first)
         added = added + placed(film.of_pressures, (m, m), first, first)
-        related, n = water.related, len(closed)
+        related = water.related
         if not related.any():
             return replace(coupled, transmitted=added)
         stiffness = np.abs(self._layout.gather(self.numbers[0], diagonal))
         stiffness = np.where(film.watertight, stiffness, 0.0)
         rows = placed(of_leak, (n, m))
-        volumes = np.where(related, self._layout.gather(self.numbers[0], residual), 0.0)
-        volumes[related] += film.volumes[:n][related]
         if d_p is not None:
             rows = rows + placed(diags_array(stiffness) @ water.drop_derivative(d_p), (n, m))
-            D = kinematics.pressures.D
-            per_length = np.divide(volumes, D, out=np.zeros(n), where=D > 0.0)
+            volumes, D = (
+                self._layout.gather(self.numbers[0], residual),
+                self._kinematics.pressures.D,
+            )
+            per_length = np.divide(volumes, D, out=np.zeros(n), where=related & (D > 0.0))
             added = added + placed(-d_p.forces(per_length[:, None]), (m, m), row=first)
         return replace(
             coupled,
@@ -187,30 +201,39 @@ class SlidingWater:
             relative=film.of_drops[related][:, related],
         )
 
-    def commit(self) -> None:
-        """Take the current state as the start of the next step."""
-        before, self.volume = self.volume, self._gap_volume()
+    def begin(self, closed: Bool) -> None:
+        """Let the next step start from where the surfaces are.
+
+        Args:
+            closed: Nodes where the solids touch; shape (n_s,).
+        """
+        self._closed_before = self._without_gap(closed)
+        self._before, self.volume = self._covered_gap(), self._gap_volume()
+
+    def commit(self, closed: Bool) -> None:
+        """Take the current state as the start of the next step; book the water of this one."""
+        before = self.volume
+        self.begin(closed)
         assert self.film is not None
         self.taken_up = float(self.film.volumes.sum())
         self.swept = self.volume - before - self.taken_up
-        self._before = self._covered_gap()
 
     def save(self) -> Any:
         """What the start of the step leaves to it; its arrays are never written to."""
-        return self._before, self.volume, self.taken_up, self.swept
+        return self._before, self._closed_before, self.volume, self.taken_up, self.swept
 
     def restore(self, state: Any) -> None:
         """Go back to a saved start of a step."""
-        self._before, self.volume, self.taken_up, self.swept = state
+        self._before, self._closed_before, self.volume, self.taken_up, self.swept = state
 
     def values(self) -> dict[str, float]:
         """Water of the gap at the start of a step [m^3/m]."""
         return {"taken up": self.taken_up, "swept": self.swept}
 
-    def set_values(self, values: dict[str, float]) -> None:
+    def set_values(self, values: dict[str, float], closed: Bool) -> None:
         """Start a step where the surfaces are; the water of the gap is what it holds there."""
         self.taken_up, self.swept = values["taken up"], values["swept"]
-        self._before, self.volume = self._covered_gap(), self._gap_volume()
+        self.begin(closed)
 
     def free_pressure(self) -> Float:
         """Pressure of the free water at the nodes with a pore pressure [Pa]; shape (n_p,)."""
@@ -240,14 +263,15 @@ class SlidingWater:
         kinematics = self._kinematics
         return float(kinematics.operator.D @ kinematics.gap())
 
-    def _beside_closed(self, closed: Bool) -> Bool:
-        """Nodes without a gap: closed, or prescribed beside a closed one; shape (n_s,)."""
+    def _without_gap(self, closed: Bool) -> Bool:
+        """Nodes that touch, but for round-off too, or prescribed beside one; shape (n_s,)."""
         kept = self._kinematics.operator.kept
         closed = closed & kept
         beside = np.zeros_like(closed)
         for end in range(2):
             beside[self._edges[closed[self._edges[:, end]], 1 - end]] = True
-        return closed | (beside & ~kept)
+        size = max(float(np.abs(points).max()) for points in self._kinematics.points)
+        return closed | (beside & ~kept) | (self._kinematics.aperture() <= NO_GAP * size)
 
 
 def placed(matrix: csr_array, shape: tuple[int, int], row: int = 0, column: int = 0) -> csr_array:

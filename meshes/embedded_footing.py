@@ -22,15 +22,18 @@ def embedded_footing(
     full: bool = False,
     half_width: float = 1.0,
     height: float = 1.0,
+    chamfer: float = 0.05,
     width: float = 12.0,
     depth: float = 6.0,
     out: str | None = None,
 ) -> Domain:
     """Mesh the half x > 0 of a footing and of the soil that it touches below and at its side.
 
-    Bodies "soil" and "footing"; surfaces "footing_base" on "notch_base", "footing_side" at
-    "notch_side", "footing_top", "ground", "bottom", "side", and on the axis x = 0 "footing_axis"
-    and "soil_axis". The full mesh has no axis, and each surface on both sides of it. Collective.
+    The edge between the footing's base and side may be chamfered, as that of cast concrete is.
+
+    Bodies "soil" and "footing"; surfaces "footing_face" (base, chamfer and side) in "notch",
+    "footing_top", "ground", "bottom", "side", and on the axis x = 0 "footing_axis" and "soil_axis".
+    The full mesh has no axis, and each surface on both sides of it. Collective.
 
     Args:
         comm: Communicator.
@@ -41,13 +44,14 @@ def embedded_footing(
         full: Mesh the other half too.
         half_width: Half width of the footing [m].
         height: Height of the footing [m].
+        chamfer: What the chamfer takes off base and side [m]; 0 for a sharp edge.
         width: Width of the whole soil [m].
         depth: Depth of the soil [m].
         out: File (.msh) to write the mesh to as well.
 
     Raises:
-        ValueError: If a length or ratio is not positive, growth negative, h_corner above h, or the
-            footing not within the soil.
+        ValueError: If a length or ratio is not positive, growth or chamfer negative, h_corner above
+            h, the footing not within the soil, or the chamfer not within the footing.
     """
     check_sizes(
         h,
@@ -64,6 +68,11 @@ def embedded_footing(
         raise ValueError(f"half_width must be below half the width, it is {half_width}.")
     if not height < depth:
         raise ValueError(f"height must be below the depth, it is {height}.")
+    if not 0.0 <= chamfer < min(half_width, height):
+        raise ValueError(f"chamfer must lie within the footing, it is {chamfer}.")
+    base = [(half_width, chamfer - height), (half_width - chamfer, -height), (0.0, -height)]
+    base = base if chamfer else base[1:]
+    faces = len(base)
 
     def edge(body: str, x: float, y: float) -> float:
         longest = min(h, h_corner + growth * hypot(abs(x) - half_width, y + height))
@@ -77,14 +86,13 @@ def embedded_footing(
                 (side, -depth),
                 (side, 0.0),
                 (half_width, 0.0),
-                (half_width, -height),
-                (0.0, -height),
+                *base,
             ],
-            ["bottom", "side", "ground", "notch_side", "notch_base"],
+            ["bottom", "side", "ground", *["notch"] * faces],
         ),
         "footing": (
-            [(0.0, -height), (half_width, -height), (half_width, 0.0), (0.0, 0.0)],
-            ["footing_base", "footing_side", "footing_top"],
+            [*base[::-1], (half_width, 0.0), (0.0, 0.0)],
+            [*["footing_face"] * faces, "footing_top"],
         ),
     }
 
@@ -135,6 +143,7 @@ def main() -> None:
     parser.add_argument("--full", action="store_true", help="mesh both halves")
     parser.add_argument("--half-width", type=float, default=1.0, help="of the footing [m]")
     parser.add_argument("--height", type=float, default=1.0, help="of the footing [m]")
+    parser.add_argument("--chamfer", type=float, default=0.05, help="of its edge [m]")
     parser.add_argument("--width", type=float, default=12.0, help="of the whole soil [m]")
     parser.add_argument("--depth", type=float, default=6.0, help="of the soil [m]")
     parser.add_argument("--out", default="embedded_footing.msh", help="file to write (.msh)")

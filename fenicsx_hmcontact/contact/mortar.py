@@ -12,6 +12,7 @@ so that a multiplier z_i [Pa] puts the force D_i z_i on i, D_i C_ij z_i on j, -D
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, radians
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,8 @@ class MortarOptions:
             multiple of the longer of these two; ``inf`` for any distance, at quadratic cost. Of
             primary edges behind each other only the nearest counts. Raise it for fluid in gaps
             wider than that, lower it where surfaces see a neighbour that they never touch.
+        largest_angle: Largest angle [degrees] between the normals of edges that face each other, up
+            to 90. Lower it where a corner of one body leaves that of another.
         min_coverage: A secondary node is dropped where the primary surface covers a smaller part
             of it than this. Below 0.5, since half of a node is covered where one of its two edges
             is.
@@ -47,12 +50,15 @@ class MortarOptions:
     """
 
     search_radius: float = 5.0
+    largest_angle: float = 90.0
     min_coverage: float = 0.2
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
         if not self.search_radius > 0.0:
             raise ValueError(f"search_radius must be positive, got {self.search_radius}.")
+        if not 0.0 < self.largest_angle <= 90.0:
+            raise ValueError(f"largest_angle must be in (0, 90], got {self.largest_angle}.")
         if not 0.0 <= self.min_coverage < 0.5:
             raise ValueError(f"min_coverage must be in [0, 0.5), got {self.min_coverage}.")
 
@@ -147,6 +153,7 @@ def mortar_segments(
         primary.edges,
         pairs,
         options.search_radius,
+        cos(radians(options.largest_angle)),
     )
     edge, primary_edge = pairs[pair].T
     corners = segment_corners(secondary, primary, edge, primary_edge)

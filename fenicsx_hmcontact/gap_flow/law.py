@@ -63,6 +63,11 @@ class GapFlow:
             at the ends of the gap but for those that a support holds (symmetry). None where faces
             and ends are sealed. Of a dry secondary surface the ends stay sealed.
 
+        lagged: Whether the water flows through the gaps of the step's start; what it stores follows
+            the gaps at once. For gaps that suction holds shut until water enters and parts them:
+            with those of its end a step that sets off such a flood may have no solution nearby. The
+            error is of first order in the step, as that of the steps themselves.
+
     Raises:
         ValueError: If a value is not positive (the aperture: negative), or the direction is none.
     """
@@ -74,6 +79,7 @@ class GapFlow:
     aperture_cap: float = math.inf
     gravity: tuple[float, float] | None = None
     outside: float | Callable[[Float], Float] | None = None
+    lagged: bool = False
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""
@@ -126,10 +132,25 @@ class GapFlow:
         """
         return np.clip(aperture, 0.0, self.aperture_cap) ** 3 / (12.0 * self.viscosity)
 
-    def longitudinal_conductance_slope(self, aperture: Float) -> Float:
-        """Derivative of `longitudinal_conductance` [m^2/(Pa s)]; shape as given."""
-        led = (aperture > 0.0) & (aperture < self.aperture_cap)
-        return np.where(led, aperture**2 / (4.0 * self.viscosity), 0.0)
+    def wedge_conductance(self, apertures: Float) -> tuple[Float, Float]:
+        """Conductance along wedges between two nodes, and its derivatives by their apertures.
+
+        That of the flow through all of the wedge, length / int ds / c_L g: where one node is closed
+        nothing passes, however wide the other.
+
+        Args:
+            apertures: Hydraulic apertures of both nodes [m]; shape (k, 2).
+
+        Returns:
+            Conductances [m^3/(Pa s)] of shape (k,), and derivatives [m^2/(Pa s)] of shape (k, 2).
+        """
+        ends = np.clip(apertures, 0.0, self.aperture_cap)
+        total = np.maximum(ends.sum(axis=1), np.finfo(float).tiny)
+        share = ends / total[:, None]
+        other, product = share[:, ::-1], ends.prod(axis=1)
+        conductance = product * share.prod(axis=1) * total / (6.0 * self.viscosity)
+        slopes = product[:, None] * other * (1.0 + other) / (6.0 * self.viscosity)
+        return conductance, np.where(apertures < self.aperture_cap, slopes, 0.0)
 
     def transverse_conductivity(self, aperture: Float | float) -> Float:
         """c_T = k_T / (gamma_f g) of Eq. 21 [m/(Pa s)]; shape as given.

@@ -44,7 +44,8 @@ class MovingFilm:
         flow: Its law.
         kinematics: The surfaces.
         water: Pore pressures of their nodes.
-        closed: Nodes where the solids touch; shape (n_s,).
+        closed: Nodes with nothing between the faces, of lagged gaps at the start of the step; shape
+            (n_s,).
         before: Gap of each node at the start of the step [m], nan at nodes without film then;
             shape (n_s,).
         time_step: Length of the step [s].
@@ -70,10 +71,11 @@ class MovingFilm:
         driving = water if flow.gravity is None else water.in_excess(flow.unit_weight, flow.gravity)
         self._driving = driving
         gap = kinematics.aperture()
-        self._open_gap = np.where(closed, 0.0, gap)
+        self._open_gap = np.where(closed, 0.0, np.nan_to_num(before) if flow.lagged else gap)
         self._points = self._at(kinematics.segments)
         self._aperture, self._widening = self._points.aperture(flow, self._open_gap)
-        self._opening = diags_array((~closed).astype(float))
+        self._conductance, self._of_ends = self._points.conductance(flow, self._open_gap)
+        self._opening = diags_array(np.where(closed | flow.lagged, 0.0, 1.0))
         self.watertight = closed if flow.closes else np.zeros_like(closed)
         self._leaking = water.related & ~self.watertight
         # A node that got its film in this step takes the increment of its neighbours.
@@ -138,10 +140,9 @@ class MovingFilm:
         """Derivatives of what is taken up and of the leak by the gaps [m]; shapes (n_s, n_s)."""
         flow, driving, at = self._flow, self._driving, self._points
         slope, drop = at(at.slopes, driving.mean), at(at.pressures, driving.drop)
-        along = flow.longitudinal_conductance_slope(self._aperture) * self._widening * slope
         across = flow.transverse_conductivity_slope(self._aperture) * self._widening * drop
         slip = DRAGGED * at(at.gaps, self._slip)
-        taken_up = self._dt * self._integral(at.slopes, at.gaps, along) @ self._opening
+        taken_up = self._dt * self._integral(at.slopes, self._of_ends, slope) @ self._opening
         taken_up += self._storage @ self._swept
         taken_up -= self._integral(at.pressures, at.gap_slopes, slip)
         leaking = diags_array(self._leaking.astype(float))
@@ -173,7 +174,8 @@ class MovingFilm:
         """What flows along, is carried along and leaks, by the nodes' functions; shapes (k, 2)."""
         flow, driving = self._flow, self._driving
         aperture, _ = at.aperture(flow, self._open_gap)
-        along = self._dt * flow.longitudinal_conductance(aperture) * at(at.slopes, driving.mean)
+        conductance, _ = at.conductance(flow, self._open_gap)
+        along = self._dt * conductance * at(at.slopes, driving.mean)
         carried = DRAGGED * at(at.gap_slopes, self._gap) * at(at.gaps, self._slip)
         drop = at(at.pressures, np.where(self._leaking, driving.drop, 0.0))
         leak = self._dt * flow.transverse_conductivity(aperture) * drop
@@ -200,8 +202,8 @@ class MovingFilm:
 
     @cached_property
     def _along(self) -> csr_array:
-        conductance = self._dt * self._flow.longitudinal_conductance(self._aperture)
-        return self._integral(self._points.slopes, self._points.slopes, conductance)
+        slopes = self._points.slopes
+        return self._integral(slopes, slopes, self._dt * self._conductance)
 
     @cached_property
     def _carried(self) -> csr_array:
@@ -215,6 +217,7 @@ class MovingFilm:
         on = kinematics.secondary, segments
         return _Points(
             kinematics.secondary.edges[segments.secondary_edge],
+            gaps[kinematics.secondary.edges[segments.secondary_edge]],
             covered_shapes(*on, gaps),
             covered_gradients(*on, gaps),
             covered_shapes(*on, pressures),
@@ -233,6 +236,7 @@ class _Points:
 
     Attributes:
         nodes: The nodes; shape (k, 2).
+        bound: Which of them end the film; it is as wide as at the other where one does not; (k, 2).
         gaps: Shape functions of gaps and slips; shape (k, 2).
         gap_slopes: Their derivatives along the chain [1/m]; shape (k, 2).
         pressures: Shape functions of mean pressure and drop; shape (k, 2).
@@ -240,6 +244,7 @@ class _Points:
     """
 
     nodes: npt.NDArray[np.int32]
+    bound: Bool
     gaps: Float
     gap_slopes: Float
     pressures: Float
@@ -255,6 +260,17 @@ class _Points:
         width = self(self.gaps, gap)
         aperture, slope = flow.hydraulic_aperture(width)
         return aperture, np.where(width > 0.0, slope, 0.0)
+
+    def conductance(self, flow: GapFlow, gap: Float) -> tuple[Float, Float]:
+        """Conductance [m^3/(Pa s)] between the nodes, derivatives by gaps; shapes (k,), (k, 2)."""
+        width = gap[self.nodes]
+        width = np.where(self.bound, width, width[:, ::-1])
+        aperture, widening = flow.hydraulic_aperture(width)
+        conductance, slopes = flow.wedge_conductance(aperture)
+        slopes = slopes * np.where(width > 0.0, widening, 0.0)
+        both = self.bound.all(axis=1, keepdims=True)
+        alone = self.bound * slopes.sum(axis=1, keepdims=True)
+        return conductance, np.where(both, slopes, alone)
 
 
 def _swept(edges: npt.NDArray[np.int32], now: Bool, before: Bool) -> csr_array:

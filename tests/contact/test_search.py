@@ -124,6 +124,24 @@ def test_search_radius_counts_the_longer_of_two_edges(unit):
         assert segments.weight.sum() == pytest.approx(unit * covered, rel=1e-12)
 
 
+@pytest.mark.parametrize("angle", [20.0, 50.0, 80.0])
+def test_edges_at_a_larger_angle_do_not_face_each_other(angle):
+    below = level(np.linspace(0.0, 1.0, 11))
+    turn = np.radians(angle)
+    secondary = surface("upper", level(np.linspace(0.3, 0.5, 5), 0.6))
+    turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    primary = lower((below - (0.5, 0.0)) @ turned + np.array([0.4, 0.0]))
+    for limit, seen in ((angle - 0.1, False), (angle + 0.1, True)):
+        options = MortarOptions(search_radius=20.0, largest_angle=limit)
+        assert bool(mortar_segments(secondary, primary, options).weight.size) == seen
+
+
+@pytest.mark.parametrize("angle", [0.0, 90.1, np.nan])
+def test_refuses_angles(angle):
+    with pytest.raises(ValueError, match="largest_angle"):
+        MortarOptions(largest_angle=angle)
+
+
 # --- the nearest part --------------------------------------------------------------------------
 
 

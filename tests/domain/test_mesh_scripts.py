@@ -264,6 +264,7 @@ def test_hertz_cells_are_fine_at_the_contact_only():
         (embedded_footing, {"growth": -0.1}, "growth"),
         (embedded_footing, {"half_width": 6.0}, "half_width"),
         (embedded_footing, {"height": 6.0}, "height"),
+        (embedded_footing, {"chamfer": 1.0}, "chamfer"),
         (excavated_slope, {"height": -1.0}, "height"),
         (excavated_slope, {"h_fine": 3.0}, "h_fine"),
         (excavated_slope, {"growth": -0.1}, "growth"),
@@ -399,11 +400,13 @@ def test_footing_over_cavity_is_fine_where_it_is_wanted():
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_footing_fills_its_notch(full):
-    domain = embedded_footing(COMM, full=full)
+@pytest.mark.parametrize("chamfer", [0.0, 0.05])
+def test_footing_fills_its_notch(full, chamfer):
+    domain = embedded_footing(COMM, full=full, chamfer=chamfer)
     assert domain.body_names == ["soil", "footing"]
-    lengths = dict(footing_base=1.0, footing_side=1.0, footing_top=1.0, notch_base=1.0)
-    lengths |= dict(notch_side=1.0, ground=5.0, bottom=6.0, side=6.0)
+    face, taken = 2.0 - (2.0 - 2.0**0.5) * chamfer, 0.5 * chamfer**2
+    lengths = dict(footing_face=face, notch=face, footing_top=1.0, ground=5.0, bottom=6.0, side=6.0)
+    halves = 2.0 if full else 1.0
     if full:
         lengths = {name: 2.0 * half for name, half in lengths.items()}
     else:
@@ -411,21 +414,22 @@ def test_footing_fills_its_notch(full):
     assert set(domain.surfaces) == set(lengths)
     for name, expected in lengths.items():
         assert length(domain, name) == pytest.approx(expected, rel=1e-12)
-    assert area(domain, "soil") == pytest.approx(70.0 if full else 35.0, rel=1e-13)
-    assert area(domain, "footing") == pytest.approx(2.0 if full else 1.0, rel=1e-13)
-    for body in ("notch", "footing"):
-        np.testing.assert_allclose(ends(domain, f"{body}_base")[..., 1], -1.0, atol=1e-14)
-        np.testing.assert_allclose(np.abs(ends(domain, f"{body}_side")[..., 0]), 1.0, atol=1e-14)
-    assert len(common_places(domain, "notch_base", "footing_base")) == 0
-    assert len(common_places(domain, "notch_side", "footing_side")) == 0
+    assert area(domain, "soil") == pytest.approx(halves * (35.0 + taken), rel=1e-13)
+    assert area(domain, "footing") == pytest.approx(halves * (1.0 - taken), rel=1e-13)
+    for surface in ("notch", "footing_face"):
+        x, y = np.abs(np.moveaxis(ends(domain, surface), -1, 0))
+        off = np.stack([1.0 - x, 1.0 - y, (chamfer - (1.0 - x) - (1.0 - y)) / 2.0**0.5])
+        assert np.abs(off).min(axis=0).max(initial=0.0) < 1e-14
+    corners = (2 if full else 1) * (2 if chamfer else 1)
+    assert len(common_places(domain, "notch", "footing_face")) <= corners + 3
     assert smallest_angle(domain) > 25.0
 
 
 def test_embedded_footing_is_fine_at_its_base_corner():
     for h_corner in (0.05, 0.025):
-        domain = embedded_footing(COMM, h_corner=h_corner)
-        for body, ratio in (("notch", 1.0), ("footing", 0.8)):
-            base, side = along(domain, f"{body}_base"), along(domain, f"{body}_side", axis=1)
+        domain = embedded_footing(COMM, h_corner=h_corner, chamfer=0.0)
+        for name, ratio in (("notch", 1.0), ("footing_face", 0.8)):
+            base, side = along(domain, name), along(domain, name, axis=1)
             for distance in (1.0 - base[::-1], side + 1.0):
                 middle = 0.5 * (distance[1:] + distance[:-1])
                 expected = ratio * (h_corner + 0.15 * middle)
@@ -440,8 +444,8 @@ def test_embedded_footing_is_fine_at_its_base_corner():
 def test_embedded_footing_matches_where_the_ratio_is_one():
     for ratio in (0.8, 1.0):
         domain = embedded_footing(COMM, ratio=ratio)
-        for axis, name in enumerate(("base", "side")):
-            soil, footing = (along(domain, f"{body}_{name}", axis) for body in ("notch", "footing"))
+        for axis in range(2):
+            soil, footing = (along(domain, name, axis) for name in ("notch", "footing_face"))
             assert np.array_equal(soil, footing) == (ratio == 1.0)
 
 

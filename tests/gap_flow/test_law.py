@@ -15,6 +15,33 @@ def test_flow_between_parallel_plates():
     assert law.longitudinal_conductance(g) == pytest.approx(flow, rel=1e-14)
 
 
+def test_flow_through_a_wedge_is_that_of_its_parts_in_series():
+    law = GapFlow(1e-9, viscosity=1.3e-3)
+    ends = np.array([[2e-4, 2e-4], [1e-4, 3e-4], [5e-4, 4e-5]])
+    s, weight = np.polynomial.legendre.leggauss(60)
+    widths = ends[:, :1] * (1.0 - s) / 2.0 + ends[:, 1:] * (1.0 + s) / 2.0
+    resistance = (1.0 / law.longitudinal_conductance(widths)) @ weight / 2.0
+    conductance, slopes = law.wedge_conductance(ends)
+    assert conductance == pytest.approx(1.0 / resistance, rel=1e-12)
+    for end in range(2):
+        step = 1e-9 * np.eye(2)[end]
+        above, below = (law.wedge_conductance(ends + sign * step)[0] for sign in (1.0, -1.0))
+        assert slopes[:, end] == pytest.approx((above - below) / 2e-9, rel=1e-8)
+
+
+def test_a_wedge_that_is_closed_at_one_end_leads_nothing():
+    law = GapFlow(1e-9)
+    conductance, slopes = law.wedge_conductance(np.array([[0.0, 1e-3], [1e-3, 0.0], [0.0, 0.0]]))
+    assert not conductance.any() and not slopes.any()
+
+
+def test_beyond_the_cap_a_wedge_leads_no_more():
+    law = GapFlow(1e-9, aperture_cap=1e-3)
+    conductance, slopes = law.wedge_conductance(np.array([[5e-3, 2e-3]]))
+    assert conductance == pytest.approx(law.longitudinal_conductance(1.0), rel=1e-14)
+    assert not slopes.any()
+
+
 def test_flow_across_is_darcys():
     law = GapFlow(3e-8, unit_weight=9.81e3)
     assert law.transverse_conductivity(2e-3) * 2e-3 * 9.81e3 == pytest.approx(3e-8, rel=1e-15)

@@ -6,8 +6,7 @@ import pytest
 from dolfinx import fem
 
 import fenicsx_hmcontact as hm
-from fenicsx_hmcontact.domain import Domain, MeshArrays
-from tests.models import LOAD, Porous, stack, total
+from tests.models import LOAD, Porous, notch, stack, total
 
 pytestmark = pytest.mark.mpi
 
@@ -67,57 +66,6 @@ def test_a_sliding_wedge_carries_half_of_its_gap_along(comm, secondary, across):
     state = model.problem.interface(pair)
     assert state.taken_up == pytest.approx(-0.5 * slope * slide * (1.0 - slide / 2), rel=0.05)
     assert state.volume - before.volume == pytest.approx(state.taken_up + state.swept, abs=1e-18)
-
-
-def notch(comm, n, m):
-    """A block of n facets a side in the corner of an L of m facets a side, a small gap around."""
-    points, cells, groups, facets, facet_groups = [], [], [], [], []
-    first = 0
-    squares = {"block": [(0.0, 1.0, n)], "base": [(0.0, 0.0, m), (1.0, 0.0, m), (1.0, 1.0, m)]}
-    ids = {}
-    for tag, (name, parts) in enumerate(squares.items(), 1):
-        known = {}
-        for x0, y0, k in parts:
-            grid = np.linspace(0.0, 1.0, k + 1)
-            numbers = np.empty((k + 1, k + 1), int)
-            for j, y in enumerate(y0 + grid):
-                for i, x in enumerate(x0 + grid):
-                    key = (round(x, 9), round(y, 9))
-                    if key not in known:
-                        known[key] = first + len(known)
-                        points.append((x, y, 0.0))
-                    numbers[j, i] = known[key]
-            a, b, c, d = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, 1:], numbers[1:, :-1]
-            quads = [q.ravel() for q in (a, b, c, d)]
-            cells += [np.column_stack(quads[:3]), np.column_stack([quads[0], *quads[2:]])]
-            groups.append(np.full(2 * k * k, tag))
-            ids[name, x0, y0] = numbers
-        first += len(known)
-    lines = {
-        "block bottom": ids["block", 0.0, 1.0][0],
-        "block right": ids["block", 0.0, 1.0][:, -1],
-        "block left": ids["block", 0.0, 1.0][:, 0],
-        "block top": ids["block", 0.0, 1.0][-1],
-        "base floor": ids["base", 0.0, 0.0][-1],
-        "base wall": ids["base", 1.0, 1.0][:, 0],
-        "base left": ids["base", 0.0, 0.0][:, 0],
-        "base top": ids["base", 1.0, 1.0][-1],
-        "base bottom": ids["base", 0.0, 0.0][0],
-    }
-    surfaces = {name: k for k, name in enumerate(lines, 1)}
-    for name, nodes in lines.items():
-        facets.append(np.column_stack([nodes[:-1], nodes[1:]]))
-        facet_groups.append(np.full(len(nodes) - 1, surfaces[name]))
-    arrays = MeshArrays(
-        np.array(points),
-        np.concatenate(cells),
-        np.concatenate(groups).astype(np.int32),
-        np.concatenate(facets),
-        np.concatenate(facet_groups).astype(np.int32),
-        {"block": 1, "base": 2},
-        surfaces,
-    )
-    return Domain.from_arrays(arrays if comm.rank == 0 else None, comm, name="notch")
 
 
 @pytest.mark.parametrize("across", [(5, 7), (7, 4)])

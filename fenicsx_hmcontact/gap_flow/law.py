@@ -63,6 +63,9 @@ class GapFlow:
             at the ends of the gap but for those that a support holds (symmetry). None where faces
             and ends are sealed. Of a dry secondary surface the ends stay sealed.
 
+        sealing: Whether one closed node seals: a facet then resists as the parts of the wedge
+            between its nodes in series do, not by the mean of its cubes. For necks of few nodes
+            that hold water back; pockets between closed nodes are trapped, and steps get harder.
         lagged: Whether the water flows through the gaps of the step's start; what it stores follows
             the gaps at once. For gaps that suction holds shut until water enters and parts them:
             with those of its end a step that sets off such a flood may have no solution nearby. The
@@ -79,6 +82,7 @@ class GapFlow:
     aperture_cap: float = math.inf
     gravity: tuple[float, float] | None = None
     outside: float | Callable[[Float], Float] | None = None
+    sealing: bool = False
     lagged: bool = False
 
     def __post_init__(self) -> None:
@@ -132,11 +136,10 @@ class GapFlow:
         """
         return np.clip(aperture, 0.0, self.aperture_cap) ** 3 / (12.0 * self.viscosity)
 
-    def wedge_conductance(self, apertures: Float) -> tuple[Float, Float]:
-        """Conductance along wedges between two nodes, and its derivatives by their apertures.
+    def conductance_between(self, apertures: Float) -> tuple[Float, Float]:
+        """Conductance between two nodes, and its derivatives by their apertures.
 
-        That of the flow through all of the wedge, length / int ds / c_L g: where one node is closed
-        nothing passes, however wide the other.
+        The mean of c_L g; with `sealing` that of the wedge's parts in series, 1 / mean(1 / c_L g).
 
         Args:
             apertures: Hydraulic apertures of both nodes [m]; shape (k, 2).
@@ -145,12 +148,17 @@ class GapFlow:
             Conductances [m^3/(Pa s)] of shape (k,), and derivatives [m^2/(Pa s)] of shape (k, 2).
         """
         ends = np.clip(apertures, 0.0, self.aperture_cap)
-        total = np.maximum(ends.sum(axis=1), np.finfo(float).tiny)
-        share = ends / total[:, None]
-        other, product = share[:, ::-1], ends.prod(axis=1)
-        conductance = product * share.prod(axis=1) * total / (6.0 * self.viscosity)
-        slopes = product[:, None] * other * (1.0 + other) / (6.0 * self.viscosity)
-        return conductance, np.where(apertures < self.aperture_cap, slopes, 0.0)
+        others = ends[:, ::-1]
+        if self.sealing:
+            total = np.maximum(ends.sum(axis=1), np.finfo(float).tiny)
+            share, product = ends / total[:, None], ends.prod(axis=1)
+            cube = 2.0 * product * share.prod(axis=1) * total
+            slopes = 2.0 * product[:, None] * share[:, ::-1] * (1.0 + share[:, ::-1])
+        else:
+            cube = 0.25 * (ends**2).sum(axis=1) * ends.sum(axis=1)
+            slopes = 0.25 * (3.0 * ends**2 + 2.0 * ends * others + others**2)
+        led, viscous = apertures < self.aperture_cap, 12.0 * self.viscosity
+        return cube / viscous, np.where(led, slopes / viscous, 0.0)
 
     def transverse_conductivity(self, aperture: Float | float) -> Float:
         """c_T = k_T / (gamma_f g) of Eq. 21 [m/(Pa s)]; shape as given.

@@ -266,7 +266,7 @@ class _Points:
         width = gap[self.nodes]
         width = np.where(self.bound, width, width[:, ::-1])
         aperture, widening = flow.hydraulic_aperture(width)
-        conductance, slopes = flow.wedge_conductance(aperture)
+        conductance, slopes = flow.conductance_between(aperture)
         slopes = slopes * np.where(width > 0.0, widening, 0.0)
         both = self.bound.all(axis=1, keepdims=True)
         alone = self.bound * slopes.sum(axis=1, keepdims=True)

@@ -120,14 +120,17 @@ def curves(
     Returns:
         Figure for ``save``.
     """
+    import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with style():
         figure = Figure()
         axes = figure.subplots()
-        for name, (abscissa, ordinate) in series.items():
-            marker = "o" if np.size(abscissa) <= 40 else ""
-            axes.plot(abscissa, ordinate, marker=marker, label=name)
+        colours = len(mpl.rcParams["axes.prop_cycle"])
+        for k, (name, (abscissa, ordinate)) in enumerate(series.items()):
+            again = k // colours % 2
+            marker = "os"[again] if np.size(abscissa) <= 40 else ""
+            axes.plot(abscissa, ordinate, ("-", ":")[again], marker=marker, label=name)
         for i, (abscissa, ordinate) in enumerate(reference):
             label = reference_label if i == 0 else None
             axes.plot(abscissa, ordinate, "--", color="black", linewidth=1.2, label=label)

@@ -15,29 +15,34 @@ def test_flow_between_parallel_plates():
     assert law.longitudinal_conductance(g) == pytest.approx(flow, rel=1e-14)
 
 
-def test_flow_through_a_wedge_is_that_of_its_parts_in_series():
-    law = GapFlow(1e-9, viscosity=1.3e-3)
+@pytest.mark.parametrize("sealing", [False, True])
+def test_flow_between_two_nodes_is_that_of_all_between(sealing):
+    law = GapFlow(1e-9, viscosity=1.3e-3, sealing=sealing)
     ends = np.array([[2e-4, 2e-4], [1e-4, 3e-4], [5e-4, 4e-5]])
     s, weight = np.polynomial.legendre.leggauss(60)
     widths = ends[:, :1] * (1.0 - s) / 2.0 + ends[:, 1:] * (1.0 + s) / 2.0
-    resistance = (1.0 / law.longitudinal_conductance(widths)) @ weight / 2.0
-    conductance, slopes = law.wedge_conductance(ends)
-    assert conductance == pytest.approx(1.0 / resistance, rel=1e-12)
+    local = law.longitudinal_conductance(widths)
+    expected = 2.0 / ((1.0 / local) @ weight) if sealing else local @ weight / 2.0
+    conductance, slopes = law.conductance_between(ends)
+    assert conductance == pytest.approx(expected, rel=1e-12)
     for end in range(2):
         step = 1e-9 * np.eye(2)[end]
-        above, below = (law.wedge_conductance(ends + sign * step)[0] for sign in (1.0, -1.0))
+        above, below = (law.conductance_between(ends + sign * step)[0] for sign in (1.0, -1.0))
         assert slopes[:, end] == pytest.approx((above - below) / 2e-9, rel=1e-8)
 
 
-def test_a_wedge_that_is_closed_at_one_end_leads_nothing():
-    law = GapFlow(1e-9)
-    conductance, slopes = law.wedge_conductance(np.array([[0.0, 1e-3], [1e-3, 0.0], [0.0, 0.0]]))
+def test_one_closed_node_seals_if_asked_to():
+    ends = np.array([[0.0, 1e-3], [1e-3, 0.0], [0.0, 0.0]])
+    conductance, slopes = GapFlow(1e-9, sealing=True).conductance_between(ends)
     assert not conductance.any() and not slopes.any()
+    conductance, _ = GapFlow(1e-9).conductance_between(ends)
+    assert conductance.astype(bool).tolist() == [True, True, False]
 
 
-def test_beyond_the_cap_a_wedge_leads_no_more():
-    law = GapFlow(1e-9, aperture_cap=1e-3)
-    conductance, slopes = law.wedge_conductance(np.array([[5e-3, 2e-3]]))
+@pytest.mark.parametrize("sealing", [False, True])
+def test_beyond_the_cap_a_gap_leads_no_more(sealing):
+    law = GapFlow(1e-9, aperture_cap=1e-3, sealing=sealing)
+    conductance, slopes = law.conductance_between(np.array([[5e-3, 2e-3]]))
     assert conductance == pytest.approx(law.longitudinal_conductance(1.0), rel=1e-14)
     assert not slopes.any()
 

@@ -17,6 +17,7 @@ DOWN = {"gravity": (0.6, -0.8)}
 ROUGH = {"aperture": hm.ResidualAperture(0.03)}
 CONSTANT = {"aperture": 0.05}
 LAGGED = {"lagged": True}
+SEALING = {"sealing": True}
 
 
 def soft_blocks(comm, flow, *, held=False, motion="finite"):
@@ -40,7 +41,7 @@ def soft_blocks(comm, flow, *, held=False, motion="finite"):
 
 
 @pytest.mark.parametrize("sets", ["open", "stick", "slip", "mixed"])
-@pytest.mark.parametrize("options", [CUBIC, DOWN, ROUGH, CONSTANT, LAGGED])
+@pytest.mark.parametrize("options", [CUBIC, DOWN, ROUGH, CONSTANT, LAGGED, SEALING])
 @pytest.mark.parametrize(
     ("held", "motion"), [((), "finite"), (("u", "p"), "finite"), ((), "small")]
 )
@@ -148,7 +149,7 @@ def film_between(flow, gap, before, closed):
 
 
 def test_one_closed_node_seals():
-    flow = hm.GapFlow(1e-3, unit_weight=50.0)
+    flow = hm.GapFlow(1e-3, unit_weight=50.0, sealing=True)
     _, film = film_between(flow, 0.02, 0.02, closed=[1])
     _, open_film = film_between(flow, 0.02, 0.02, closed=[])
     along = [f._along.toarray() for f in (film, open_film)]

@@ -511,6 +511,12 @@ def test_summary(comm):
     assert model.problem.n_unknowns == {"displacement": 140, "pore pressure": 40}
 
 
+def test_summary_names_what_is_switched_on(comm):
+    scene, flow = footing(comm), hm.GapFlow(1e-9, lagged=True)
+    scene.contact("bottom_1", "top_0", friction=FRICTION, flow=flow, name="base")
+    assert "unit_weight=10000, lagged)" in scene.summary()
+
+
 STATEMENTS = {
     "unknown body 'clay'; known: block_0, block_1": lambda s: s.body("clay", SOIL),
     "has no method update": lambda s: s.body("block_0", 1e6),

@@ -73,9 +73,9 @@ def _name(law: Any) -> str:
         return kind
     values = {f.name: getattr(law, f.name) for f in fields(law)}
     shown = [
-        f"{name}={value:g}"
+        name if value is True else f"{name}={value:g}"
         for name, value in values.items()
-        if isinstance(value, (int, float)) and math.isfinite(value)
+        if isinstance(value, (int, float)) and math.isfinite(value) and value is not False
     ]
     return f"{kind}({', '.join(shown)})" if shown else kind
 

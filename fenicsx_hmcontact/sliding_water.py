@@ -186,10 +186,7 @@ class SlidingWater:
         rows = placed(of_leak, (n, m))
         if d_p is not None:
             rows = rows + placed(diags_array(stiffness) @ water.drop_derivative(d_p), (n, m))
-            volumes, D = (
-                self._layout.gather(self.numbers[0], residual),
-                self._kinematics.pressures.D,
-            )
+            D, volumes = kinematics.pressures.D, self._layout.gather(self.numbers[0], residual)
             per_length = np.divide(volumes, D, out=np.zeros(n), where=related & (D > 0.0))
             added = added + placed(-d_p.forces(per_length[:, None]), (m, m), row=first)
         return replace(

@@ -10,8 +10,6 @@ import pytest
 from demos import footing_uplift as demo
 from fenicsx_hmcontact.output.report import Report
 
-pytestmark = pytest.mark.mpi
-
 FAST, SLOW, DRAINED = "200", "0.25", "0.001"
 
 

@@ -381,8 +381,8 @@ QUICK = {"h": 5.0, "h_fine": 3.0, "days": 8.0}
 """Parameters of --quick: a coarse mesh, eight days."""
 FINE = {"h": 2.0, "h_fine": 1.0}
 """Parameters of --fine."""
-PRINTED_VISCOSITY = 10.0
-"""Viscosity of water in the paper [Pa s]."""
+PRINTED = {"viscosity": 10.0}
+"""Water as the paper prints it."""
 
 
 def parse(words=None):
@@ -432,15 +432,7 @@ def parse(words=None):
     p.parameter("--fill-creases", 60.0, "degrees", "angle of creases of the ground that are filled")
     p.parameter("--iterations", 50, "-", "most iterations of a step")
     p.parameter("--cuts", 10, "-", "most cuts of a step")
-    left_out = {name: p.get_default(name) for name in ("h", "h_fine", "days", "viscosity")}
-    p.set_defaults(**dict.fromkeys(left_out))
-    o = p.parse_args(words)
-    left_out |= QUICK if o.quick else {}
-    left_out |= FINE if o.fine else {}
-    left_out |= {"viscosity": PRINTED_VISCOSITY} if o.printed else {}
-    for name, value in left_out.items():
-        if getattr(o, name) is None:
-            setattr(o, name, value)
+    o = p.parse_modes(words, {"quick": QUICK, "fine": FINE, "printed": PRINTED})
     for name in (
         "h",
         "h_fine",

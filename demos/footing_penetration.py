@@ -32,8 +32,6 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-import ufl
-from dolfinx import fem
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -146,21 +144,6 @@ def conventional_condition(model, state):
 
     on_root(comm, compute)
     return comm.bcast(found[0] if found else None)
-
-
-def swelling(model):
-    """Area that the soil gains in the step [m^2]."""
-    domain = model.domain
-    dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
-    J = ufl.det(ufl.Identity(2) + ufl.grad(model.u - model.u_n))
-    return comm.allreduce(fem.assemble_scalar(fem.form((J - 1.0) * dx(domain.body("soil")))))
-
-
-def balance(model):
-    """Water that bodies, gaps and outside lost together in the step, and what moved [m^2]."""
-    gaps = sum(model.contact(name).taken_up for name in model.pairs)
-    parts = swelling(model), gaps, model.outflow()
-    return abs(sum(parts)), max(map(abs, parts))
 
 
 def wet_triangles(frame):
@@ -296,8 +279,8 @@ def look(history, options, model, step, series, conditions):
     """Take down what a step brought."""
     history.iterations.append(step.iterations)
     history.cuts += step.cuts
-    lost, moved = balance(model)
-    history.lost, history.moved = history.lost + lost, history.moved + moved
+    lost, moved = model.water_balance()
+    history.lost, history.moved = history.lost + abs(lost), history.moved + moved
     if not step.asked:
         return
     state = model.contact("cavity")
@@ -473,7 +456,7 @@ def study(options, report):
 # %%
 QUICK = {"h": 0.4, "settlement": 0.3, "steps": 6, "duration": 900.0, "printed": False}
 """Parameters of --quick: the first 0.3 m on a coarse mesh, with water."""
-FINE = 0.15
+FINE = {"h": 0.15}
 """Edges of --fine [m]."""
 
 
@@ -493,7 +476,7 @@ def parse(words=None):
         quick=True,
         study=True,
     )
-    p.add_argument("--fine", action="store_true", help=f"edges of {FINE:g} m")
+    p.add_argument("--fine", action="store_true", help=f"edges of {FINE['h']:g} m")
     p.add_argument(
         "--printed",
         action=argparse.BooleanOptionalAction,
@@ -537,14 +520,7 @@ def parse(words=None):
     p.parameter("--tolerance", 1e-10, "-", "of Newton's method")
     p.parameter("--max-iterations", 12, "-", "of Newton's method, before a step is cut")
     p.parameter("--meshes", (0.3, 0.2, 0.15), "m", "edges, in --study")
-    left_out = {name: p.get_default(name) for name in ("h", "settlement", "steps", "duration")}
-    p.set_defaults(**dict.fromkeys(left_out))
-    o = p.parse_args(words)
-    left_out |= QUICK if o.quick else {}
-    left_out |= {"h": FINE} if o.fine else {}
-    for name, value in left_out.items():
-        if getattr(o, name, None) is None:
-            setattr(o, name, value)
+    o = p.parse_modes(words, {"quick": QUICK, "fine": FINE})
     for name in ("h", "settlement", "duration", "steps", "parts", "early_parts", "max_iterations"):
         if not getattr(o, name) > 0:
             p.error(f"--{name.replace('_', '-')} must be positive, not {getattr(o, name)}")

@@ -34,8 +34,6 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-import ufl
-from dolfinx import fem
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -139,15 +137,6 @@ def suction(state):
     return 2.0 * abs(float(pull[base].sum()))
 
 
-def swelling(model):
-    """Area that the porous bodies gain in the step [m^2]."""
-    domain, J = model.domain, ufl.det(ufl.Identity(2) + ufl.grad(model.u - model.u_n))
-    dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
-    bodies = model.porous.body_names
-    gained = (fem.assemble_scalar(fem.form((J - 1.0) * dx(domain.body(b)))) for b in bodies)
-    return comm.allreduce(float(sum(gained)))
-
-
 @dataclass
 class History:
     """What a run leaves for figures; lists have a value for each step.
@@ -230,9 +219,8 @@ def look(history, model, step, speed, series, down):
     history.taken_up += state.taken_up
     history.swept += state.swept
     history.volume = state.volume
-    parts = swelling(model), state.taken_up, model.outflow()
-    history.lost += abs(sum(parts))
-    history.moved += max(map(abs, parts))
+    lost, moved = model.water_balance()
+    history.lost, history.moved = history.lost + abs(lost), history.moved + moved
     fields = [model.u, model.p, model.nodal_history()]
     history.frame = gather_frame(step.t, fields, (model.u, model.u_n))
     if series is not None:
@@ -417,16 +405,7 @@ def parse(words=None):
     p.parameter("--tau", 1.0, "-", "stabilisation of the pore pressure, 0 for none")
     p.parameter("--max-iterations", 20, "-", "of Newton's method, before a step is cut")
     p.parameter("--max-cuts", 5, "-", "most cuts of a step")
-    names = "velocities", "uplift", "steps", "h", "growth", "unit_weight", "viscosity"
-    left_out = {name: p.get_default(name) for name in names}
-    p.set_defaults(**dict.fromkeys(left_out))
-    o = p.parse_args(words)
-    left_out |= QUICK if o.quick else {}
-    left_out |= FINE if o.fine else {}
-    left_out |= PRINTED if o.printed else {}
-    for name, value in left_out.items():
-        if getattr(o, name) is None:
-            setattr(o, name, value)
+    o = p.parse_modes(words, {"quick": QUICK, "fine": FINE, "printed": PRINTED})
     for name in ("uplift", "steps", "max_iterations"):
         if not getattr(o, name) > 0:
             p.error(f"--{name.replace('_', '-')} must be positive, not {getattr(o, name)}")

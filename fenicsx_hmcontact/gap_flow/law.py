@@ -62,7 +62,6 @@ class GapFlow:
             [m], shape (n, 2), that returns n of them. It stands on what no other surface faces, and
             at the ends of the gap but for those that a support holds (symmetry). None where faces
             and ends are sealed. Of a dry secondary surface the ends stay sealed.
-
         sealing: Whether one closed node seals: a facet then resists as the parts of the wedge
             between its nodes in series do, not by the mean of its cubes. For necks of few nodes
             that hold water back; pockets between closed nodes are trapped, and steps get harder.
@@ -139,7 +138,8 @@ class GapFlow:
     def conductance_between(self, apertures: Float) -> tuple[Float, Float]:
         """Conductance between two nodes, and its derivatives by their apertures.
 
-        The mean of c_L g; with `sealing` that of the wedge's parts in series, 1 / mean(1 / c_L g).
+        The mean of c_L g, apertures, capped, being linear between the nodes; with `sealing` that
+        of the wedge's parts in series, 1 / mean(1 / c_L g).
 
         Args:
             apertures: Hydraulic apertures of both nodes [m]; shape (k, 2).

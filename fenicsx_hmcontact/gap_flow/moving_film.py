@@ -215,9 +215,10 @@ class MovingFilm:
         kinematics = self._kinematics
         gaps, pressures = kinematics.operator.kept, kinematics.pressures.kept
         on = kinematics.secondary, segments
+        nodes = kinematics.secondary.edges[segments.secondary_edge]
         return _Points(
-            kinematics.secondary.edges[segments.secondary_edge],
-            gaps[kinematics.secondary.edges[segments.secondary_edge]],
+            nodes,
+            gaps[nodes],
             covered_shapes(*on, gaps),
             covered_gradients(*on, gaps),
             covered_shapes(*on, pressures),

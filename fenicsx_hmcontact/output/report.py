@@ -115,6 +115,30 @@ class DemoParser(argparse.ArgumentParser):
             settings["metavar"] = None if choices else kind.__name__.upper()
         self.add_argument(flag, **settings)
 
+    def parse_modes(
+        self, words: Sequence[str] | None, modes: Mapping[str, Mapping[str, Any]]
+    ) -> argparse.Namespace:
+        """Parse a command line on which some options, the modes, stand for values of others.
+
+        Args:
+            words: The command line; None for that of the process.
+            modes: By mode, the values of the options that are left out. Of several modes the last
+                one counts.
+
+        Returns:
+            The options, as of ``parse_args``.
+        """
+        names = {name for values in modes.values() for name in values}
+        left_out = {name: self.get_default(name) for name in names}
+        self.set_defaults(**dict.fromkeys(names))
+        options = self.parse_args(words)
+        for mode, values in modes.items():
+            left_out |= values if getattr(options, mode) else {}
+        for name, value in left_out.items():
+            if getattr(options, name) is None:
+                setattr(options, name, value)
+        return options
+
     def parameters(self, options: argparse.Namespace) -> dict[str, Any]:
         """Pick from the parsed options what the report keeps as parameters.
 

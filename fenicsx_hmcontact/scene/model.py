@@ -205,6 +205,29 @@ class SceneModel(TransientModel):
                 left -= float(self.dt.value * flux.value) * self.comm.allreduce(length)
         return float(left)
 
+    def water_balance(self) -> tuple[float, float]:
+        """Water that appeared in the last step, which must be none, and what moved. Collective.
+
+        Grains and water are incompressible: what the porous bodies grow by, what gaps took from
+        them and what left them cancel out. To be asked in the loop over the steps of a run: after
+        it the step is accepted, and its displacements are those of the next one's start.
+
+        Returns:
+            The sum of the three and the largest of them [m^3/m].
+
+        Raises:
+            ValueError: If all bodies are dry.
+        """
+        left = self.outflow()
+        moved = ufl.grad(self.u - self.u_n)
+        growth = ufl.det(ufl.Identity(2) + moved) - 1.0 if self._finite else ufl.tr(moved)
+        tags = tuple(tag for body in self._said.porous for tag in self.domain.tags(body))
+        grown = self.domain.mesh.comm.allreduce(
+            fem.assemble_scalar(fem.form(growth * self._dx(tags)))
+        )
+        parts = float(grown), sum(self.contact(name).taken_up for name in self.pairs), left
+        return sum(parts), max(map(abs, parts))
+
     def contact(self, name: str) -> InterfaceState:
         """Tractions, gaps and water of a contact.
 

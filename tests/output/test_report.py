@@ -90,6 +90,19 @@ def test_wrong_options_end_all_ranks_and_rank_0_says_why(comm, capsys, words, me
     assert message in said if comm.rank == 0 else said == ""
 
 
+def test_modes_set_what_is_left_out(comm):
+    modes = {"quick": {"cells": 4, "height": 0.5}, "study": {"cells": 8}}
+    for words, cells, height in (
+        ([], 20, 1.0),
+        (["--quick"], 4, 0.5),
+        (["--quick", "--cells", "7"], 7, 0.5),
+        (["--quick", "--study"], 8, 0.5),
+        (["--cells", "20", "--study"], 20, 1.0),
+    ):
+        options = column_parser(comm).parse_modes(words, modes)
+        assert (options.cells, options.height) == (cells, height)
+
+
 def test_number_without_unit_is_refused(comm):
     with pytest.raises(ValueError, match="--height needs a unit"):
         DemoParser("column", "", comm).parameter("--height", 1.0, "", "height")

@@ -18,8 +18,8 @@
 #
 # 1. Gravity, one step of 100 years; then displacements are reset, and the water is hydrostatic in
 #    the ground as designed.
-# 2. The excavation, in the first 0.2 days: what the soil there carried is taken off evenly. The new
-#    surface is drained from the first step on. Twenty days follow.
+# 2. The excavation, in the first 0.05 days: what the soil there carried is taken off evenly. The
+#    new surface is drained from the first step on. Twenty days follow.
 #
 # The same with and without the interface. Compared are the total equivalent plastic strain
 # $\int\bar\varepsilon^p\,\mathrm{d}\Omega$ (Eq. 104 of Fang et al. 2024), the largest displacement,
@@ -425,7 +425,7 @@ def parse(words=None):
     p.parameter("--aperture-cap", 1e-2, "m", "gaps that are wider lead no better along")
     p.parameter("--tau", 1.0, "-", "stabilisation of the pore pressure")
     p.parameter("--days", 20.0, "d", "time from the start of the excavation")
-    p.parameter("--excavation", 0.2, "d", "time in which the load of the excavated soil comes off")
+    p.parameter("--excavation", 0.05, "d", "time in which the load of the excavated soil comes off")
     p.parameter("--excavation-steps", 4, "-", "steps of the excavation")
     p.parameter("--dt-early", 0.2, "d", "steps of the first five days")
     p.parameter("--dt-late", 0.5, "d", "steps after that")

@@ -24,6 +24,8 @@
 #
 # The concrete passes $10^5$ times less water than the soil. The footing is dry unless
 # `--footing-permeability` is given.
+#
+# Where the soil closes in below the corner that rises, a trench is left; `fill_creases` fills it.
 
 # %%
 import argparse
@@ -190,7 +192,7 @@ def move(options, velocity, report, series=None, *, down=False):
             end,
             end / o.steps,
             kinematics="finite",
-            remesh=hm.Remeshing(),
+            remesh=hm.Remeshing(fill_creases=o.fill_creases),
             newton=hm.NewtonOptions(max_iterations=o.max_iterations),
             steps=hm.StepOptions(max_cuts=o.max_cuts),
             bar=PUSH_DOWN if down else f"{velocity:g} mm/h",
@@ -403,7 +405,8 @@ def parse(words=None):
     p.parameter("--unit-weight", 1e4, "N/m^3", "unit weight of water; 1e6 with --printed")
     p.parameter("--viscosity", 1e-3, "Pa s", "viscosity of water; 10 with --printed")
     p.parameter("--tau", 1.0, "-", "stabilisation of the pore pressure, 0 for none")
-    p.parameter("--max-iterations", 20, "-", "of Newton's method, before a step is cut")
+    p.parameter("--fill-creases", 75.0, "degrees", "angle of creases of the notch that are filled")
+    p.parameter("--max-iterations", 30, "-", "of Newton's method, before a step is cut")
     p.parameter("--max-cuts", 5, "-", "most cuts of a step")
     o = p.parse_modes(words, {"quick": QUICK, "fine": FINE, "printed": PRINTED})
     for name in ("uplift", "steps", "max_iterations"):

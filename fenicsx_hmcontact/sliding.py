@@ -89,6 +89,7 @@ class SlidingCoupling:
     ) -> None:
         self.pair = pair
         self._law = tangential_law(pair.friction)
+        self._lagged = self._law is not None and getattr(self._law, "lagged", False)
         self._layout = layout
         u = _field(pair, unknowns, layout, 2, "displacement")
         mesh = unknowns[u].function_space.mesh
@@ -146,7 +147,8 @@ class SlidingCoupling:
         if self.water is not None:
             self.water.begin(self.status.closed)
         self.settled = True
-        self._held: HeldBound | None = None
+        self._bound = np.zeros(len(dropped))
+        self._held = self._bound_at_start()
         self._last_slip = self.kinematics.slip()
         self._committed = self.status
         self.place(current)
@@ -175,11 +177,13 @@ class SlidingCoupling:
         """By how much contact and friction are violated, in place of the condensed residual.
 
         Args:
-            held: Whether held bounds of friction count, or those of the pressures.
+            held: Whether held bounds of friction count, or those of the pressures; lagged ones
+                always do.
 
         Returns:
             Global numbers of the relative displacements, and forces [N/m]; shapes (2k,).
         """
+        held = held or self._lagged
         kept = self.kinematics.operator.kept
         numbers = self._dofs[0].reshape(-1, 2)[kept]
         return numbers.ravel(), np.column_stack(self._violations[0 if held else 1])[kept].ravel()
@@ -201,7 +205,7 @@ class SlidingCoupling:
         Friction of given bounds has one solution, which Newton's method finds; the bounds follow
         with the relaxation of Aitken (Kuettler and Wall 2008).
         """
-        if self._law is None:
+        if self._law is None or self._lagged:
             return
         bound = self._law.bound(np.maximum(self._pressure, 0.0))[0]
         if self._held is None:
@@ -218,7 +222,12 @@ class SlidingCoupling:
         self._held = HeldBound(self._held.values + self._relaxation * missing)
 
     def release(self) -> None:
-        """Let the bounds of friction follow the pressures again, on closed nodes alone."""
+        """Let the bounds of friction follow the pressures again, on closed nodes alone.
+
+        Lagged ones never do.
+        """
+        if self._lagged:
+            return
         self._held = None
         self.status = self.status.restricted(self.status.closed, self._law)
 
@@ -238,23 +247,26 @@ class SlidingCoupling:
         self.kinematics.start_step()
         if self.water is not None:
             self.water.commit(self.status.closed)
+        if self._law is not None and self._lagged:
+            bound = self._law.bound(np.maximum(self._pressure, 0.0))[0]
+            self._bound = np.where(self.status.closed, bound, 0.0)
         self.release()
         self._committed = self.status
 
     def reset(self) -> None:
         """Go back to the sets of the start of the step."""
-        self._held = None
+        self._held = self._bound_at_start()
         self.status = self._committed
         self.kinematics.restart_step()
 
     def save(self) -> Any:
         """What the start of the step leaves to it; its arrays are never written to."""
         water = None if self.water is None else self.water.save()
-        return self._committed, self._last_slip, self.kinematics.save(), water
+        return self._committed, self._last_slip, self._bound, self.kinematics.save(), water
 
     def restore(self, state: Any) -> None:
         """Go back to a saved start of a step; `place` is to follow."""
-        self._committed, self._last_slip, kinematics, water = state
+        self._committed, self._last_slip, self._bound, kinematics, water = state
         self.kinematics.restore(kinematics)
         if self.water is not None:
             self.water.restore(water)
@@ -269,6 +281,7 @@ class SlidingCoupling:
             "slipping": status.slipping.astype(float),
             "direction": status.direction,
             "last slip": self._last_slip,
+            "bound": self._bound,
         }
         values = {"origin": self.kinematics.origin.tolist()}
         if self.water is not None:
@@ -290,7 +303,7 @@ class SlidingCoupling:
         closed, slipping = (nodal[name] > HALF for name in ("closed", "slipping"))
         direction = np.where(nodal["direction"] < 0.0, -1.0, 1.0)
         self._committed = ContactStatus(closed, slipping & closed, direction)
-        self._last_slip = nodal["last slip"]
+        self._last_slip, self._bound = nodal["last slip"], nodal["bound"]
         if self.water is not None:
             self.water.set_values(values, closed)
         self.reset()
@@ -437,6 +450,10 @@ class SlidingCoupling:
             give = operator.D / secondary
             give = give + weights @ (length / primary) / weights.sum(axis=1)
             return np.where(operator.kept & np.isfinite(give), 1.0 / give, 1.0)
+
+    def _bound_at_start(self) -> HeldBound | None:
+        """Bounds of lagged friction; None where they follow the pressures."""
+        return HeldBound(self._bound) if self._lagged else None
 
     def _check_overlap(self, gap: Float) -> None:
         surface, operator = self._surfaces[0], self.kinematics.operator

@@ -611,18 +611,24 @@ def test_state_tells_slip_forces_and_moment(comm):
     assert state.moment() == pytest.approx(expected + 0.3 * state.force[1] - 0.2 * state.force[0])
 
 
-@pytest.mark.mpi
-def test_nodes_at_the_smallest_coverage_do_not_come_and_go(comm):
+def facing(comm, **options):
+    """Two surfaces of stacked blocks, and their kinematics with options of the mortar."""
     domain = stack(comm, (5, 4), levels=(0.0, 0.5, 1.0), rows=1)
     tags = domain.facet_tags
     lower, upper = (
         gather_surface(domain.mesh, tags, domain.surface(name), name)
         for name in ("top_0", "bottom_1")
     )
-    options = hm.MortarOptions(min_coverage=0.3)
-    pair = hm.ContactPair(tags, 1, 2, friction=FRICTION, mortar=options)
+    pair = hm.ContactPair(tags, 1, 2, friction=FRICTION, mortar=hm.MortarOptions(**options))
     zero = np.zeros_like(lower.points), np.zeros_like(upper.points)
     kinematics = Kinematics(pair, lower, upper, np.zeros(len(lower.nodes), bool), zero)
+    return lower, upper, kinematics
+
+
+@pytest.mark.mpi
+def test_nodes_at_the_smallest_coverage_do_not_come_and_go(comm):
+    lower, upper, kinematics = facing(comm, min_coverage=0.3)
+    zero = np.zeros_like(lower.points), np.zeros_like(upper.points)
     end = int(np.argmin(lower.points[:, 0]))
     kept = {}
     for shift in (0.0, 0.1, 0.13, 0.1):
@@ -643,3 +649,32 @@ def test_nodes_at_the_smallest_coverage_do_not_come_and_go(comm):
     kinematics.restart_step()
     kinematics.place(between)
     assert kinematics.operator.kept[end]
+
+
+@pytest.mark.mpi
+def test_edges_that_turn_within_a_step_do_not_come_and_go(comm):
+    lower, upper, kinematics = facing(comm, largest_angle=40.0)
+
+    def turned(degrees):
+        """Displacements that turn the lower surface about the middle of the interface."""
+        x, angle = lower.points - [0.5, 0.5], np.radians(degrees)
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        return x @ turn - x, np.zeros_like(upper.points)
+
+    def seen(degrees):
+        kinematics.place(turned(degrees))
+        return kinematics.segments.weight.size > 0
+
+    assert seen(39.0) and seen(41.0) and seen(39.0)
+    start = kinematics.save()
+    kinematics.place(turned(41.0))
+    kinematics.start_step()
+    assert not seen(41.0) and not seen(39.0)
+    # Given up, and begun anew where it did.
+    kinematics.restore(start)
+    assert seen(41.0)
+    states = kinematics.nodal_states()
+    kinematics.set_nodal_states(states, lower.points.mean(axis=0), turned(41.0))
+    assert not seen(39.0)
+    kinematics.set_nodal_states(states, lower.points.mean(axis=0), turned(39.0))
+    assert seen(41.0)

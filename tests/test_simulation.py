@@ -22,6 +22,8 @@ TRESCA = hm.Tresca(E=1e6, nu=0.3, c=5e3)
 class Blocks(hm.TransientModel):
     """One or two porous blocks at finite strain; the top is pushed down and dragged along."""
 
+    friction = hm.CoulombFriction(mu=0.3)
+
     def __init__(self, domain, *, speed=(0.004, -0.002), porous=True, law=TRESCA, flow=FLOW):
         mesh = domain.mesh
         self.domain, n = domain, len(domain.bodies)
@@ -55,7 +57,7 @@ class Blocks(hm.TransientModel):
                 domain.facet_tags,
                 domain.surface(f"bottom_{k + 1}"),
                 domain.surface(f"top_{k}"),
-                hm.CoulombFriction(mu=0.3),
+                self.friction,
                 flow=flow if porous else None,
             )
             for k in range(n - 1)
@@ -79,6 +81,12 @@ class Blocks(hm.TransientModel):
             return forces
         water = total(self.problem.reactions(self.p), self.domain, surface)
         return np.append(forces, water)
+
+
+class LaggedBlocks(Blocks):
+    """The same, with friction by the pressures of the step's start."""
+
+    friction = hm.CoulombFriction(mu=0.3, lagged=True)
 
 
 def two_blocks(comm, **options):
@@ -127,7 +135,8 @@ def test_built_anew_on_the_same_mesh_nothing_changes(comm, porous):
 
 
 @pytest.mark.mpi
-def test_restart_goes_on_to_the_last_bit(comm, shared_tmp_path):
+@pytest.mark.parametrize("blocks", [Blocks, LaggedBlocks])
+def test_restart_goes_on_to_the_last_bit(comm, shared_tmp_path, blocks):
     """A run that writes a checkpoint and one begun from it give the same figures.
 
     On several ranks MUMPS adds up as messages come in: the last digits may differ between any two
@@ -135,12 +144,12 @@ def test_restart_goes_on_to_the_last_bit(comm, shared_tmp_path):
     """
     file = shared_tmp_path / "run.checkpoint"
     options = hm.Remeshing(every=3)
-    simulation = hm.Simulation(Blocks, two_blocks(comm), options)
+    simulation = hm.Simulation(blocks, two_blocks(comm), options)
     forces(simulation, 4.0)
     simulation.write_checkpoint(file)
     held = nodes_of(simulation)
     went_on = forces(simulation, 8.0)
-    again = hm.Simulation.restart(file, Blocks, comm, options)
+    again = hm.Simulation.restart(file, blocks, comm, options)
     assert again.t == 4.0 and again.n_steps == 4
     assert [r.step for r in again.records] == [r.step for r in simulation.records][
         : len(again.records)

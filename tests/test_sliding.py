@@ -337,6 +337,39 @@ def test_force_of_a_pushed_block_is_the_law_summed(comm, law, motion):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("motion", ["small", "finite"])
+def test_lagged_friction_is_bounded_by_the_pressures_of_the_start(comm, motion):
+    model = Pushed(comm, hm.CoulombFriction(0.2, 0.05, lagged=True), motion=motion)
+    first = model.step(0.01)
+    np.testing.assert_allclose(first.state.shear[model.operator.kept], 0.0, atol=1e-9)
+    law, before = hm.CoulombFriction(0.2, 0.05), first.state
+    for push in (0.02, 0.03, 0.04):
+        start = model.problem.save()
+        step = model.step(push)
+        bound = np.where(before.closed, law.bound(np.maximum(before.pressure, 0.0))[0], 0.0)
+        kept, slipping = model.operator.kept, model.status.slipping
+        assert np.all(np.abs(step.state.shear[kept]) <= bound[kept] + 1e-9) and slipping.any()
+        np.testing.assert_allclose(step.state.shear[slipping], -bound[slipping], atol=1e-9)
+        # A step that is given up leaves no trace.
+        model.problem.restore(start)
+        assert model.step(push).force == pytest.approx(step.force, rel=1e-12)
+        before = step.state
+    if motion == "small":
+        # By now the pressures hardly change: what is lagged is what is.
+        summed = model.area[before.closed] @ bound[before.closed]
+        assert step.force == pytest.approx(summed, rel=1e-9)
+        assert summed == pytest.approx(0.2 + 0.05 * model.area[before.closed].sum(), rel=1e-3)
+    nodes = model.coupling.nodal_states()
+    held = np.where(before.closed, law.bound(np.maximum(before.pressure, 0.0))[0], 0.0)
+    np.testing.assert_allclose(nodes[0].nodal["bound"], held, atol=1e-12)
+    current = np.concatenate([v.x.array for v in model.problem.unknowns])
+    model.coupling.commit()
+    model.coupling.set_nodal_states(*nodes, current)
+    again = model.coupling.nodal_states()[0].nodal["bound"]
+    np.testing.assert_array_equal(again, nodes[0].nodal["bound"])
+
+
+@pytest.mark.mpi
 def test_no_friction_needs_no_push(comm):
     for law in (hm.Frictionless(), hm.CoulombFriction(0.0)):
         model = Pushed(comm, law, motion="small")

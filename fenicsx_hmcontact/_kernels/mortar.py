@@ -82,16 +82,6 @@ def _facing(c: Any, s: float, corners: Any) -> tuple[float, float, float]:
 
 
 @numba.njit(cache=True)
-def _cosine(s: float, corners: Any) -> float:
-    """Cosine of the angle between a normal of the secondary and that of the primary edge."""
-    n = 0.5 * ((1.0 - s) * corners[1, 0] + (1.0 + s) * corners[1, 1])
-    along = corners[2, 1] - corners[2, 0]
-    # The normal points into the secondary body, the primary one lies left of its edges.
-    across = n[0] * along[1] - n[1] * along[0]
-    return float(across / np.hypot(n[0], n[1]) / np.hypot(along[0], along[1]))
-
-
-@numba.njit(cache=True)
 def _sort(values: Any, labels: Any) -> None:
     """Sort a few values, and their labels with them, by insertion."""
     for k in range(1, len(values)):
@@ -111,7 +101,6 @@ def segments(
     primary_edges: npt.NDArray[np.int32],
     pairs: npt.NDArray[np.int64],
     radius: float,
-    least_cosine: float,
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64], npt.NDArray[np.int32]]:
     """Find the parts of secondary edges from which the normal meets the front of a primary edge.
 
@@ -127,8 +116,6 @@ def segments(
         primary_edges: Edges of the primary surface, body on the left; shape (m_m, 2).
         pairs: Secondary and primary edge of every candidate pair; shape (k, 2).
         radius: Largest distance of a segment's middle, as a multiple of the longer edge.
-        least_cosine: Least cosine of the angle there between the normal and that of the primary
-            edge.
 
     Returns:
         Pair of every segment, shape (l,); its ends on the secondary edge, shape (l, 2); the nodes
@@ -165,8 +152,7 @@ def segments(
                 continue
             s = 0.5 * (low + high)
             f1, f2, distance = _facing(c, s, corners)
-            near = distance <= radius * longer
-            if f1 < 0.0 < f2 and near and _cosine(s, corners) >= least_cosine:
+            if f1 < 0.0 < f2 and distance <= radius * longer:
                 of_pairs[number] = k
                 ends[number] = low, high
                 end_nodes[number, 0] = -1 if low <= SHORTEST_SEGMENT - 1.0 else nodes[b]

@@ -53,6 +53,10 @@ class CoulombFriction:
         cohesion: c [Pa]. It acts in full from a contact pressure of ``ramp`` on, and in proportion
             below: a jump at p = 0 would let nodes open and close in turns.
         ramp: That pressure [Pa]; a tenth of the cohesion where None.
+        lagged: Whether the pressures of the step's start bound the shear traction all through it.
+            Contact is then the minimum of an energy, as far as surfaces move little in a step, but
+            the bound errs in first order of the step, and the first step is free of friction. Set
+            it where steps fail because nodes stick and slip in turns.
 
     Raises:
         ValueError: If a value is negative.
@@ -61,6 +65,7 @@ class CoulombFriction:
     mu: float
     cohesion: float = 0.0
     ramp: float | None = None
+    lagged: bool = False
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""

@@ -66,7 +66,7 @@ class Kinematics:
             primary.at(primary.points - self._origin),
         )
         self._dropped = dropped
-        self._start = displacements
+        self._begin(displacements)
         self._closed_gaps = np.zeros(len(dropped))
         self._covered = np.zeros(len(dropped), bool)
         self.faced = np.zeros(len(primary.nodes), bool)
@@ -92,7 +92,7 @@ class Kinematics:
 
     def start_step(self) -> None:
         """Measure slip from here on, and remember which nodes are covered."""
-        self._start = self._u
+        self._begin(self._u)
         self._start_coverage = self._covered, self.faced
 
     def restart_step(self) -> None:
@@ -105,7 +105,8 @@ class Kinematics:
 
     def restore(self, state: Any) -> None:
         """Start the step where a saved one did."""
-        self._start, self._start_coverage = state
+        displacements, self._start_coverage = state
+        self._begin(displacements)
         self.restart_step()
 
     def nodal_states(self) -> tuple[dict[str, Float], dict[str, Float]]:
@@ -137,10 +138,11 @@ class Kinematics:
         self._rest = one, other
         coverage = secondary["covered"] > HALF, primary["faced"] > HALF
         self._covered, self.faced = coverage
+        self._begin(displacements)
         if self._pair.motion == "small":
             self._couple(*self._rest)
         self.place(displacements)
-        self._start, self._start_coverage = displacements, coverage
+        self._start_coverage = coverage
 
     @property
     def points(self) -> tuple[Float, Float]:
@@ -255,12 +257,21 @@ class Kinematics:
             return None
         return geometry_derivatives(self.secondary, self.primary, self.segments, operator)
 
+    def _begin(self, displacements: tuple[Float, Float]) -> None:
+        """Start a step at displacements [m] of the nodes of both surfaces."""
+        self._start = displacements
+        secondary, primary = self._rest
+        self._seen = (
+            secondary.at(secondary.points + displacements[0]),
+            primary.at(primary.points + displacements[1]),
+        )
+
     def _couple(self, secondary: Surface, primary: Surface) -> None:
         for derivatives in ("derivatives", "pressure_derivatives"):
             self.__dict__.pop(derivatives, None)
         options = self._pair.mortar
         self.secondary, self.primary = secondary, primary
-        self.segments = mortar_segments(secondary, primary, options)
+        self.segments = mortar_segments(secondary, primary, options, self._seen)
         self.operator = self._coupled(self._dropped)
         self.pressures = self._coupled(None) if self._dropped.any() else self.operator
         self._covered = self.pressures.kept

@@ -40,7 +40,8 @@ class MortarOptions:
             primary edges behind each other only the nearest counts. Raise it for fluid in gaps
             wider than that, lower it where surfaces see a neighbour that they never touch.
         largest_angle: Largest angle [degrees] between the normals of edges that face each other, up
-            to 90. Lower it where a corner of one body leaves that of another.
+            to 90. Lower it where a corner of one body leaves that of another. In steps the angles
+            at their start count: contact must not come and go as Newton's method turns an edge.
         min_coverage: A secondary node is dropped where the primary surface covers a smaller part
             of it than this. Below 0.5, since half of a node is covered where one of its two edges
             is.
@@ -135,7 +136,10 @@ class MortarOperator:
 
 
 def mortar_segments(
-    secondary: Surface, primary: Surface, options: MortarOptions = MortarOptions()
+    secondary: Surface,
+    primary: Surface,
+    options: MortarOptions = MortarOptions(),
+    seen: tuple[Surface, Surface] | None = None,
 ) -> Segments:
     """Find the parts of the secondary surface that the primary one covers.
 
@@ -143,8 +147,13 @@ def mortar_segments(
         secondary: Surface that carries the multipliers.
         primary: Surface that faces it.
         options: How far the surfaces look for each other.
+        seen: Both where the angles of their edges count; where they are if None.
     """
     pairs = candidate_pairs(secondary, primary, options.search_radius)
+    if options.largest_angle < 90.0:
+        along, opposite = (s.tangents for s in seen or (secondary, primary))
+        cosines = -np.einsum("ka,ka->k", along[pairs[:, 0]], opposite[pairs[:, 1]])
+        pairs = pairs[cosines >= cos(radians(options.largest_angle))]
     pair, ends, end_nodes = kernels.segments(
         secondary.points,
         secondary.normals,
@@ -153,7 +162,6 @@ def mortar_segments(
         primary.edges,
         pairs,
         options.search_radius,
-        cos(radians(options.largest_angle)),
     )
     edge, primary_edge = pairs[pair].T
     corners = segment_corners(secondary, primary, edge, primary_edge)

@@ -51,6 +51,7 @@ def separate(
             tags=arrays.facet_groups[own],
             options=options,
             first_nodes=nodes,
+            others=arrays.points[arrays.facets[~own], :2],
         )
     return bodies
 

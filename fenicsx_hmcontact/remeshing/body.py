@@ -36,6 +36,7 @@ class Body:
         tags: Surface group of each facet.
         options: What the triangles are to look like.
         first_nodes: Numbers of the first nodes in the whole mesh.
+        others: Ends of the facets of other bodies [m]; shape (n, 2, 2).
         origins: Weights of the first nodes in each node; shape (n_points, number of first nodes).
         merges: For each removed node of a fixed line and group beside it: the node, the nodes
             before and after it, the group, and the area [m^2] that the group gained.
@@ -51,6 +52,7 @@ class Body:
     tags: npt.NDArray[np.int32]
     options: Remeshing
     first_nodes: Ints
+    others: Floats
     origins: Any = None
     merges: list[tuple[tuple[int, int, int], int, float]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)

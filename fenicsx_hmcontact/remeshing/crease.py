@@ -8,9 +8,15 @@ import numpy as np
 from fenicsx_hmcontact.remeshing.body import Body
 from fenicsx_hmcontact.remeshing.edges import Bools, Edges, Floats, Ints
 
+TOUCHING = 1e-2
+"""Part of the way to the middle of a crease up to which another body only touches it [-]."""
+
 
 def creases(body: Body, edges: Edges) -> tuple[Ints, Floats]:
     """Nodes where one surface turns in on itself.
+
+    Where it turns by more than a node that may be removed, its short edges do not hide how narrow
+    its mouth is: then the angle is that of edges of the target size with this mouth, if smaller.
 
     Returns:
         The node before, the node, and the node after, counterclockwise around the body, shape
@@ -29,6 +35,10 @@ def creases(body: Body, edges: Edges) -> tuple[Ints, Floats]:
     turn = np.arctan2(_cross(to, on), (to * on).sum(axis=1))
     fit = (turn < 0.0) & (one == two) & (one >= 0)
     angle = 180.0 + np.degrees(turn[fit])
+    mouth = np.hypot(*(body.points[b] - body.points[a])[fit].T) / body.targets[nodes][fit]
+    of_mouth = 2.0 * np.degrees(np.arcsin(np.minimum(0.5 * mouth, 1.0)))
+    turned = angle < 180.0 - body.options.merge_turn
+    angle = np.where(turned, np.minimum(angle, of_mouth), angle)
     order = np.argsort(angle, kind="stable")
     return np.column_stack([a, nodes, b])[fit][order], angle[order]
 
@@ -37,14 +47,14 @@ def fill_creases(body: Body) -> int:
     """Fill creases with a triangle, until none is sharp; their nodes are inside then.
 
     Soil and water that fill them are booked as those of removed nodes are. A crease that another
-    part of the body has come into stays.
+    body, or another part of this one, has come into stays.
     """
     total, limit = 0, body.options.fill_creases
     while limit > 0.0:
         edges = body.edges()
         found, angle = creases(body, edges)
         outer, _ = _outer(body, edges)
-        free = (crease for crease in found[angle < limit] if _is_empty(body.points, outer, crease))
+        free = (crease for crease in found[angle < limit] if _is_empty(body, outer, crease))
         crease = next(free, None)
         if crease is None:
             break
@@ -72,17 +82,29 @@ def _outer(body: Body, edges: Edges) -> tuple[Ints, Ints]:
     return np.column_stack(ends), edges.of_cell[cell, opposite]
 
 
-def _is_empty(points: Floats, outer: Ints, crease: Ints) -> bool:
-    """Whether nothing of the outline lies in the triangle that fills a crease, or across it."""
-    a, node, b = points[crease]
-    nodes = np.setdiff1d(outer, crease)
-    within = [_cross(y - x, points[nodes] - x) >= 0.0 for x, y in ((a, b), (b, node), (node, a))]
-    apart = outer[~np.isin(outer, crease[[0, 2]]).any(axis=1)]
-    p, q = points[apart[:, 0]], points[apart[:, 1]]
+def _is_empty(body: Body, outer: Ints, crease: Ints) -> bool:
+    """Whether nothing of any outline lies in the triangle that fills a crease, or across it."""
+    triangle = body.points[crease]
+    if np.isin(outer, crease[[0, 2]]).all(axis=1).any():
+        return False
+    nodes = body.points[np.setdiff1d(outer, crease)]
+    apart = body.points[outer[~np.isin(outer, crease[[0, 2]]).any(axis=1)]]
+    if _enters(nodes, apart, triangle):
+        return False
+    # Bodies that only touch the corners or the sides have not come in.
+    inside = triangle + TOUCHING * (triangle.mean(axis=0) - triangle)
+    return not _enters(body.others.reshape(-1, 2), body.others, inside)
+
+
+def _enters(points: Floats, edges: Floats, triangle: Floats) -> bool:
+    """Whether points lie in a triangle, or edges cross its side between first and last corner."""
+    a, _, b = triangle
+    corners = zip(triangle[[0, 2, 1]], triangle[[2, 1, 0]], strict=True)
+    within = [_cross(y - x, points - x) >= 0.0 for x, y in corners]
+    p, q = edges[:, 0], edges[:, 1]
     across = _between(_cross(b - a, p - a), _cross(b - a, q - a))
     across &= _between(_cross(q - p, a - p), _cross(q - p, b - p))
-    joined = np.isin(outer, crease[[0, 2]]).all(axis=1)
-    return not (np.all(within, axis=0).any() or across.any() or joined.any())
+    return bool(np.all(within, axis=0).any() or across.any())
 
 
 def _between(one: Floats, other: Floats) -> Bools:

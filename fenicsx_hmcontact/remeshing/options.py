@@ -41,8 +41,9 @@ class Remeshing:
             [degrees]. Lower it to keep the shape of curved surfaces.
         merge_area: A node of the boundary is only removed if this changes the area by less [h^2].
         fill_creases: Where a surface turns in on itself, and the angle outside of the body gets
-            smaller than this, the crease is filled [degrees]; 0 never fills. Set it, to 60 say,
-            where a slide or heave rolls over the ground beside it; not where another body fits in.
+            smaller than this, or the mouth narrower than that of edges of h at this angle, the
+            crease is filled [degrees]; 0 never fills. Set it, to 60 say, where a slide or heave
+            rolls over the ground beside it, or soil closes in behind a body that leaves.
         rounds: Most rounds of a remesh [-]. Raise it if a remesh reports that it has not settled.
         every: Remesh every so many steps as well [-]; None for no fixed rhythm.
         rule: A rule of your own: called with the mesh after every step, remeshes on True.

@@ -134,6 +134,10 @@ def test_edges_at_a_larger_angle_do_not_face_each_other(angle):
     for limit, seen in ((angle - 0.1, False), (angle + 0.1, True)):
         options = MortarOptions(search_radius=20.0, largest_angle=limit)
         assert bool(mortar_segments(secondary, primary, options).weight.size) == seen
+        # Where they are said to be seen, their own angle does not count.
+        for turned_back in (primary, lower(below)):
+            found = mortar_segments(secondary, primary, options, (secondary, turned_back))
+            assert bool(found.weight.size) == (seen or turned_back is not primary)
 
 
 @pytest.mark.parametrize("angle", [0.0, 90.1, np.nan])

@@ -77,18 +77,36 @@ def test_angles_out_of_range_are_refused(value):
         hm.Remeshing(fill_creases=value)
 
 
+def body_of(x, size=1.0, other=None):
+    """A body with an outline along points, counterclockwise, and maybe another one."""
+    points, cells, edges, groups = [], [], [], []
+    for group, outline in enumerate([x] if other is None else [x, other], start=1):
+        nodes, first = np.arange(len(outline)), sum(map(len, points))
+        around = np.column_stack([nodes, np.roll(nodes, -1)])
+        points.append(np.pad(np.array(outline, float), ((0, 0), (0, 1))))
+        cells.append(first + triangulate(points[-1][:, :2], around, np.full(len(nodes), group))[0])
+        edges.append(first + around)
+        groups.append(group)
+    points, n_cells, n_edges = np.vstack(points), [*map(len, cells)], [*map(len, edges)]
+    names = ("soil", "pile")[: len(groups)]
+    arrays = MeshArrays(
+        points,
+        np.vstack(cells),
+        np.repeat(groups, n_cells).astype(np.int32),
+        np.vstack(edges),
+        np.repeat(groups, n_edges).astype(np.int32),
+        {name: i + 1 for i, name in enumerate(names)},
+        {f"face of {name}": i + 1 for i, name in enumerate(names)},
+    )
+    options = hm.Remeshing(fill_creases=50.0)
+    return separate(arrays, np.full(len(points), size), options, None, None)["soil"]
+
+
 def lip(tip):
     """A body with a crease, and a lip beside it whose tip may hang over the crease."""
     low, high = (0.8, 0.0), (1.2, 0.12)
     x = [(0.0, -1.0), (2.0, -1.0), (2.0, 0.6), (1.5, 0.6), tip, high, (1.0, -0.5), low, (0.0, 0.0)]
-    points, n = np.pad(np.array(x), ((0, 0), (0, 1))), len(x)
-    outline = np.column_stack([np.arange(n), np.roll(np.arange(n), -1)])
-    cells, groups, _ = triangulate(points[:, :2], outline, np.ones(n, int))
-    tags = np.ones(n, np.int32)
-    arrays = MeshArrays(
-        points, cells, groups.astype(np.int32), outline, tags, {"soil": 1}, {"ground": 1}
-    )
-    return separate(arrays, np.ones(n), hm.Remeshing(fill_creases=50.0), None, None)["soil"]
+    return body_of(x, 0.1)
 
 
 @pytest.mark.parametrize(("tip", "filled"), [((1.25, 0.5), 1), ((0.95, 0.03), 0)])
@@ -99,3 +117,43 @@ def test_crease_that_another_part_has_come_into_stays(tip, filled):
     after = areas(body.points, body.cells)
     # The triangle of 0.4 m by 0.56 m, less what it leans.
     assert after.min() > 0.0 and after.sum() - before == pytest.approx(0.112 * filled, abs=1e-12)
+
+
+CREASE = [(0.0, -1.0), (2.0, -1.0), (2.0, 0.0), (1.2, 0.0), (1.0, -0.5), (0.8, 0.0), (0.0, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("pile", "filled"),
+    [
+        ([(0.95, -0.2), (1.05, -0.2), (1.05, 0.3), (0.95, 0.3)], 0),
+        ([(0.9, 0.1), (1.1, 0.1), (1.1, 0.3), (0.9, 0.3)], 1),
+        # Across the crease, no corner of it inside.
+        ([(0.5, 0.1), (0.99, -0.4), (1.5, 0.1), (1.5, 0.3), (0.5, 0.3)], 0),
+        # Between the flanks, all its corners on them or outside.
+        ([(0.9, -0.25), (1.1, -0.25), (1.1, 0.3), (0.9, 0.3)], 0),
+        # On both lips; with its tip on one.
+        ([(0.7, 0.0), (1.3, 0.0), (1.3, 0.3), (0.7, 0.3)], 1),
+        ([(0.8, 0.0), (0.9, 0.3), (0.7, 0.3)], 1),
+    ],
+)
+def test_crease_that_another_body_has_come_into_stays(pile, filled):
+    assert fill_creases(body_of(CREASE, 0.1, pile)) == filled
+
+
+TRENCH = [(0.0, -1.0), (2.0, -1.0), (2.0, 0.0), (1.05, 0.0), (1.01, -0.1), (0.99, -0.1)]
+TRENCH += [(0.95, 0.0), (0.0, 0.0)]
+
+
+@pytest.mark.parametrize(("size", "filled"), [(0.2, 2), (0.1, 0)])
+def test_trench_with_short_edges_is_filled_where_its_mouth_is_narrow(size, filled):
+    # No corner of it is sharp: 112 degrees, mouths of 0.11 and then 0.10 m.
+    body = body_of(TRENCH, size)
+    before = areas(body.points, body.cells).sum()
+    assert fill_creases(body) == filled
+    gained = areas(body.points, body.cells).sum() - before
+    assert gained == pytest.approx(0.006 if filled else 0.0, abs=1e-12)
+
+
+def test_boundary_that_hardly_turns_is_no_crease_however_short_its_edges():
+    flat = [*TRENCH[:3], (1.05, 0.0), (1.01, -0.01), (0.99, -0.01), *TRENCH[6:]]
+    assert fill_creases(body_of(flat, 0.2)) == 0

@@ -75,6 +75,18 @@ def test_water_into_the_gap_is_its_volume(runs):
     assert slow.volume == pytest.approx(options.half_width * options.uplift, rel=0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("h_corner", [0.1, 0.025])
+def test_trench_below_the_corner_is_filled_on_any_mesh(h_corner):
+    options, _ = demo.parse(["--h-corner", str(h_corner)])
+    scene, history = demo.move(options, float(FAST), Report("footing_uplift", demo.comm, {}))
+    assert history.failure == "" and history.uplift[-1] == pytest.approx(options.uplift, rel=1e-12)
+    assert any(record.counts["soil"].get("filled", 0) for record in scene.simulation.records)
+    # Undrained, at its depth: 6 c per width.
+    undrained = 6.0 * options.c * 2.0 * options.half_width
+    assert history.resistance[-1] == pytest.approx(undrained, rel=0.03)
+
+
 def test_run_that_ends_early_has_no_resistance():
     early = demo.History(failure="no convergence")
     early.uplift, early.resistance, early.iterations = [0.1], [9e3], [4]

@@ -73,7 +73,7 @@ class Block:
         mesh.topology.create_connectivity(1, 2)
         V = fem.functionspace(mesh, ("P", 1, (2,)))
         self.u = u = fem.Function(V, name="displacement")
-        self.dt = fem.Constant(mesh, 1e9)
+        self.dt = fem.Constant(mesh, 1e5)
         self.material = hm.LinearElastic(options.E, options.nu)
         dc = hm.node_cells_measure(options.smoothing)
         bcs = [fem.dirichletbc(np.zeros(2), self.dofs(V, "base_bottom"), V)]

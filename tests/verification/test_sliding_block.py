@@ -37,7 +37,12 @@ def test_resistance_is_that_of_the_effective_load(comm, mu, cohesion, water):
 
 @pytest.mark.parametrize(
     ("mu", "cohesion", "water", "secondary", "primary"),
-    [(1.0, 0.1, 0.0, 5, 41), (0.6, 0.05, 0.95, 7, 23), (0.3, 0.3, 0.9, 19, 13)],
+    [
+        (1.0, 0.1, 0.0, 5, 41),
+        (0.6, 0.05, 0.95, 7, 23),
+        (0.3, 0.3, 0.9, 19, 13),
+        (0.5, 0.2, 0.9, 19, 13),
+    ],
 )
 @pytest.mark.parametrize("motion", ["small", "finite"])
 def test_law_is_summed_over_closed_nodes_where_others_open(

@@ -109,6 +109,7 @@ def describe(options, water):
             viscosity=viscosity,
             unit_weight=unit_weight,
             aperture_cap=(12.0 * viscosity * 1e6 * o.permeability * o.h / unit_weight) ** (1 / 3),
+            sealing=True,
         ),
     }
     scene.contact("footing_base", "ground", name="base", **between)

@@ -193,7 +193,7 @@ def move(options, velocity, report, series=None, *, down=False):
             end / o.steps,
             kinematics="finite",
             remesh=hm.Remeshing(fill_creases=o.fill_creases),
-            newton=hm.NewtonOptions(max_iterations=o.max_iterations),
+            newton=hm.NewtonOptions(max_iterations=o.max_iterations, relaxation=o.relaxation),
             steps=hm.StepOptions(max_cuts=o.max_cuts),
             bar=PUSH_DOWN if down else f"{velocity:g} mm/h",
         ):
@@ -407,6 +407,7 @@ def parse(words=None):
     p.parameter("--tau", 1.0, "-", "stabilisation of the pore pressure, 0 for none")
     p.parameter("--fill-creases", 75.0, "degrees", "angle of creases of the notch that are filled")
     p.parameter("--max-iterations", 30, "-", "of Newton's method, before a step is cut")
+    p.parameter("--relaxation", 2e-3, "m", "moves of soil that creeps to equilibrium, 0: never")
     p.parameter("--max-cuts", 5, "-", "most cuts of a step")
     o = p.parse_modes(words, {"quick": QUICK, "fine": FINE, "printed": PRINTED})
     for name in ("uplift", "steps", "max_iterations"):

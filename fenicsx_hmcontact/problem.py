@@ -33,9 +33,11 @@ from .solvers import (
     NewtonOptions,
     NewtonResult,
     SingularSystemError,
+    relax,
     solve_newton,
 )
 from .solvers.condition import condition_number
+from .solvers.newton import System
 
 SIDES = "secondary", "primary"
 """Surfaces of a pair."""
@@ -128,7 +130,7 @@ class ContactProblem:
         self._condensed = np.zeros(self.layout.n_local)
         self._petsc_options = petsc_options
         self._system = self._new_system()
-        self._moved = False
+        self._moved = self._damped = False
         self._tangent_inputs: list[npt.NDArray[np.float64]] | None = None
 
     # --- what a user calls ------------------------------------------------------------------
@@ -650,24 +652,40 @@ class ContactProblem:
                 )
 
     def _attempt(self, state: Any) -> NewtonResult:
-        """Solve from the tangents of the last step, or from elastic ones where those mislead."""
-        try:
-            return self._iterate()
-        except (ConvergenceError, SingularSystemError):
-            if not any(stress.start.by_law for stress in self._stresses):
-                raise
-        self.restore(state)
-        for stress in self._stresses:
-            stress.begin_elastic()
-        return self._iterate()
+        """Solve from the tangents of the last step, or from elastic ones where those mislead.
 
-    def _iterate(self) -> NewtonResult:
-        """Solve by Newton's method; a system that stays singular names what is free."""
+        Where both fail the solid creeps, if it may.
+        """
+        attempts = [(solve_newton, False)]
+        if any(stress.start.by_law for stress in self._stresses):
+            attempts.append((solve_newton, True))
+        if self.newton.relaxation:
+            if max(self.layout.block_sizes) == 1:
+                raise ValueError(
+                    "relaxation lets a solid creep: it needs a displacement, not only "
+                    + ", ".join(self.field_names)
+                )
+            attempts.append((relax, False))
+        *others, (method, elastic) = attempts
+        for earlier, from_elastic in others:
+            try:
+                return self._iterate(earlier, from_elastic)
+            except (ConvergenceError, SingularSystemError):
+                self.restore(state)
+        return self._iterate(method, elastic)
+
+    def _iterate(
+        self, method: Callable[[System, NewtonOptions], NewtonResult], elastic: bool
+    ) -> NewtonResult:
+        """Solve by a method, maybe from elastic tangents; a singular system names what is free."""
+        if elastic:
+            for stress in self._stresses:
+                stress.begin_elastic()
         self._moved = False
         for coupling in self._sliding:
             coupling.reset()
         try:
-            result = solve_newton(self, self.newton)
+            result = method(self, self.newton)
             self._check_materials([max(residuals) for residuals in result.history])
             return result
         except SingularSystemError as error:
@@ -684,9 +702,14 @@ class ContactProblem:
             np.add.at(self._raw, at, volumes[mine])
             np.add.at(self._condensed, at, volumes[mine])
 
-    def increment(self) -> None:
-        """Assemble the tangent where it has changed, solve, and add the increment. Collective."""
-        self._update_tangent()
+    def increment(self, damping: float = 0.0) -> None:
+        """Assemble the tangent where it has changed, solve, and add the increment. Collective.
+
+        Args:
+            damping: Resistance of dashpots at the nodes of the solid, relative to the scaled
+                residual of its equilibrium [1/m].
+        """
+        self._update_tangent(damping)
         prescribed = self._dirichlet_increment()
         lifted = self._condensed.copy()
         moved = prescribed.copy()
@@ -731,6 +754,12 @@ class ContactProblem:
         """Let the bounds of friction follow the pressures again."""
         for coupling in self._sliding:
             coupling.release()
+
+    @property
+    def farthest(self) -> float:
+        """Longest move of a node along an axis in the last increment [m]."""
+        moves = np.abs(self._increment[self.layout.owned][self._of_solid])
+        return float(self.comm.allreduce(moves.max(initial=0.0), MPI.MAX))
 
     @property
     def reach(self) -> float:
@@ -784,6 +813,11 @@ class ContactProblem:
     def _free(self) -> npt.NDArray[np.bool_]:
         """Owned unknowns that are neither prescribed nor closed for good."""
         return self._system.free
+
+    @property
+    def _of_solid(self) -> npt.NDArray[np.bool_]:
+        """Owned unknowns that are displacements."""
+        return np.array(self.layout.block_sizes)[self.layout.field_of_owned()] > 1
 
     @property
     def _linear(self) -> LinearSolver:
@@ -841,11 +875,19 @@ class ContactProblem:
                 self.layout.add_ghosts_to_owners(self._diagonal)
         return changed
 
-    def _update_tangent(self) -> None:
+    def _update_tangent(self, damping: float = 0.0) -> None:
         """Assemble and factorise, unless nothing the matrix depends on has changed."""
-        changed = self._assemble_tangent()
-        if changed or self._sliding or self._system.linear is None:
+        changed, damped = self._assemble_tangent(), self._damped or damping > 0.0
+        if changed or damped or self._sliding or self._system.linear is None:
             self._system.set_values(self._added_matrix())
+        self._damped = damping > 0.0
+        if self._damped:
+            solid = self._of_solid
+            residuals = self.scaled_residuals()
+            largest = max(residuals[f] for f, n in enumerate(self.layout.block_sizes) if n > 1)
+            self._linear.add_to_diagonal(
+                np.where(solid & self._free, damping * largest * self._linear.scale, 0.0)
+            )
 
     def _field(self, unknown: fem.Function) -> int:
         for field, u in enumerate(self.unknowns):

@@ -560,6 +560,34 @@ def test_no_solution_is_reported(comm):
 
 
 @pytest.mark.mpi
+def test_solid_creeps_where_newtons_method_fails(comm):
+    domain = stack(comm, (3,), rows=3)
+    V = fem.functionspace(domain.mesh, ("P", 1, (2,)))
+    u, v = fem.Function(V, name="displacement"), ufl.TestFunction(V)
+    # Springs whose left branch ends just before this load; neighbours pull each other along.
+    force = ufl.as_vector([u[i] ** 3 - 3 * u[i] - 2.01 for i in range(2)])
+    F = ufl.inner(force, v) * ufl.dx + ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    problem = hm.ContactProblem(F, u, newton=hm.NewtonOptions(max_iterations=6))
+    u.x.array[:] = -1.3
+    with pytest.raises(hm.ConvergenceError):
+        problem.solve()
+    problem.newton = hm.NewtonOptions(max_iterations=6, relaxation=0.1)
+    problem.solve()
+    np.testing.assert_allclose(u.x.array**3 - 3 * u.x.array, 2.01, rtol=1e-9)
+    assert u.x.array.min() > 2.0
+    # No dashpot is left in the matrix.
+    assert problem.solve().iterations == 1
+
+
+@pytest.mark.mpi
+def test_nothing_creeps_without_a_displacement(comm):
+    relaxed = {"newton": hm.NewtonOptions(relaxation=0.1)}
+    _, problem = scalar_problem(comm, lambda p, q: (p**2 - 1) * q * ufl.dx, 0.7, **relaxed)
+    with pytest.raises(ValueError, match="needs a displacement, not only head"):
+        problem.solve()
+
+
+@pytest.mark.mpi
 def test_not_a_number_names_the_field(comm):
     _, problem = scalar_problem(comm, lambda p, q: (ufl.ln(p) + 3) * q * ufl.dx, -1.0)
     with pytest.raises(hm.ConvergenceError, match="residual of head is not a number"):

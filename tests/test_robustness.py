@@ -436,6 +436,26 @@ def test_a_failed_step_leaves_what_is_reported(comm):
     np.testing.assert_array_equal(m.u.x.array, other.u.x.array)
 
 
+@pytest.mark.mpi
+def test_creeping_ends_where_newtons_method_does(comm, monkeypatch):
+    def fails(*_):
+        raise hm.ConvergenceError("as if the sets cycled", [])
+
+    states = []
+    for crept in (False, True):
+        m, push = pushed(comm)
+        if crept:
+            monkeypatch.setattr("fenicsx_hmcontact.problem.solve_newton", fails)
+            m.problem.newton = hm.NewtonOptions(relaxation=1e-2)
+        for push.value in (0.004, 0.03):
+            m.problem.solve()
+        states.append((m.u.x.array.copy(), m.problem.interface(m.pairs[0])))
+    (newton, one), (creep, other) = states
+    assert_close(creep, newton, comm, 1e-8)
+    np.testing.assert_array_equal(other.state, one.state)
+    np.testing.assert_allclose(other.shear, one.shear, atol=1e-7)
+
+
 @pytest.mark.parametrize("law", [FRICTION, hm.Frictionless()])
 def test_prescribed_neighbours_of_a_sliding_pair_are_refused(comm, law):
     def clamped(V):

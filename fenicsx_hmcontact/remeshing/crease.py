@@ -8,8 +8,8 @@ import numpy as np
 from fenicsx_hmcontact.remeshing.body import Body
 from fenicsx_hmcontact.remeshing.edges import Bools, Edges, Floats, Ints
 
-TOUCHING = 1e-2
-"""Part of the way to the middle of a crease up to which another body only touches it [-]."""
+TOUCHING = 2e-2
+"""Length by which another body may be in a crease and only touches it [h]."""
 
 
 def creases(body: Body, edges: Edges) -> tuple[Ints, Floats]:
@@ -92,8 +92,19 @@ def _is_empty(body: Body, outer: Ints, crease: Ints) -> bool:
     if _enters(nodes, apart, triangle):
         return False
     # Bodies that only touch the corners or the sides have not come in.
-    inside = triangle + TOUCHING * (triangle.mean(axis=0) - triangle)
-    return not _enters(body.others.reshape(-1, 2), body.others, inside)
+    inside = _shrunk(triangle, TOUCHING * body.targets[crease[1]])
+    return inside is None or not _enters(body.others.reshape(-1, 2), body.others, inside)
+
+
+def _shrunk(triangle: Floats, length: float) -> Floats | None:
+    """Triangle whose sides lie inside by a length [m]; None where nothing is left of it."""
+    opposite = np.hypot(*(triangle[[1, 2, 0]] - triangle[[2, 0, 1]]).T)
+    one, other = triangle[1:] - triangle[0]
+    radius = abs(_cross(one, other)) / opposite.sum()
+    if radius <= length:
+        return None
+    middle: Floats = opposite @ triangle / opposite.sum()
+    return triangle + length / radius * (middle - triangle)
 
 
 def _enters(points: Floats, edges: Floats, triangle: Floats) -> bool:

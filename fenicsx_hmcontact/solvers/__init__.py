@@ -4,7 +4,7 @@
 from .layout import FieldLayout
 from .linear import DEFAULT_OPTIONS, LinearSolver, LinearSolverError, SingularSystemError
 from .matrix import LocalMatrix
-from .newton import ConvergenceError, NewtonOptions, NewtonResult, solve_newton
+from .newton import ConvergenceError, NewtonOptions, NewtonResult, relax, solve_newton
 from .time_stepping import (
     Step,
     StepOptions,
@@ -34,6 +34,7 @@ __all__ = [
     "TimeStepping",
     "TimeSteppingError",
     "TransientModel",
+    "relax",
     "restore_values",
     "save_values",
     "solve_newton",

@@ -97,6 +97,12 @@ class LinearSolver:
         self.ksp.setOperators(self.matrix)
         self.n_factorisations += 1
 
+    def add_to_diagonal(self, values: npt.NDArray[np.float64]) -> None:
+        """Add to the owned diagonal of the scaled matrix, until `set_values`. Collective."""
+        self._b.array[:] = values
+        self.matrix.setDiagonal(self._b, PETSc.InsertMode.ADD_VALUES)
+        self.ksp.setOperators(self.matrix)
+
     def solve(self, b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Solve for the owned unknowns. Collective.
 

@@ -23,10 +23,14 @@ class NewtonOptions:
             step [-]. Lower it for figures to round-off, raise it for quick looks.
         max_iterations: Most iterations of one step [-]. Most steps take 1 to 8; contact sets that
             cycle take more. Lower it where steps are cut anyway.
+        relaxation: Where the method fails, the solid creeps to equilibrium against dashpots, with
+            moves of about this length [m]; 0: never. Set it to a tenth of the shortest edges where
+            soil snaps from one equilibrium to another: no step is short enough for that.
     """
 
     tolerance: float = 1e-10
     max_iterations: int = 50
+    relaxation: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse values that make no sense."""
@@ -34,6 +38,8 @@ class NewtonOptions:
             raise ValueError(f"tolerance is {self.tolerance}; it must lie between 0 and 1")
         if self.max_iterations < 1:
             raise ValueError(f"max_iterations is {self.max_iterations}; it must be at least 1")
+        if not 0.0 <= self.relaxation < np.inf:
+            raise ValueError(f"relaxation is {self.relaxation}; it must be 0 or a length")
 
 
 class ConvergenceError(RuntimeError):
@@ -90,8 +96,17 @@ class System(Protocol):
             FloatingPointError: If it is not, naming the field; on all ranks alike.
         """
 
-    def increment(self) -> None:
-        """Assemble the tangent where it has changed, solve, and add the increment."""
+    def increment(self, damping: float = 0.0) -> None:
+        """Assemble the tangent where it has changed, solve, and add the increment.
+
+        Args:
+            damping: Resistance of dashpots at the nodes of the solid, relative to the scaled
+                residual of its equilibrium [1/m].
+        """
+
+    @property
+    def farthest(self) -> float:
+        """Longest move of a node along an axis in the last increment [m]."""
 
     @property
     def reach(self) -> float:
@@ -144,6 +159,18 @@ SHORTEST = 2.0**-6
 DECREASE = 1e-4
 """Part of the decrease at the start of an increment that a damped step must reach."""
 
+MOST_CREEPING = 150
+"""Most iterations of creeping."""
+
+FAR = 4.0
+"""Longest move in an iteration of creeping, relative to the asked one; longer ones are undone."""
+
+STIFFER, SOFTER = 4.0, 0.5
+"""Factors of the dashpots after moves that are undone, and after short ones."""
+
+STUCK = 1e6
+"""Factor of the dashpots with which nothing moves any more."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -187,15 +214,8 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
             part = _take(system, before, system.reach if guarded else 1.0)
         except FloatingPointError as error:
             raise ConvergenceError(str(error), [*worst, np.nan]) from error
-        size, state = system.scaled_norms()
+        size, limit = _note(system, options, result, worst, part)
         residuals = system.scaled_residuals()
-        result.history.append([r / size if size > 0.0 else r for r in residuals])
-        result.contacts.append(system.contacts())
-        result.lengths.append(part)
-        worst.append(max(result.history[-1]))
-        if system.comm.rank == 0:
-            _log.info("%s", _Line(system.field_names, result))
-        limit = max(options.tolerance * size, ROUND_OFF * state)
         small = all(r <= limit for r in residuals) and system.settled
         if small and part == 1.0 and (not guarded or system.violation(held=False) <= limit):
             return result
@@ -220,6 +240,71 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
         f"{worst[-1]:.1e} of the increment",
         worst,
     )
+
+
+def relax(system: System, options: NewtonOptions) -> NewtonResult:
+    """Let the solid creep to equilibrium, against dashpots that fade as it comes to rest.
+
+    Implicit steps of pseudo-time, with the exact tangent and no line search (pseudo-transient
+    continuation, Kelley and Keyes 1998). Beyond a limit point, where the residual has a minimum but
+    no root nearby, this finds the equilibrium that the solid snaps to; it is one of the same
+    equations, to the same tolerance.
+
+    Args:
+        system: The equations.
+        options: When to stop, and by how much the solid moves in an iteration.
+
+    Returns:
+        The number of iterations and the residuals on the way.
+
+    Raises:
+        ConvergenceError: If the solid does not come to rest.
+    """
+    result, worst = NewtonResult(), list[float]()
+    resistance = 1.0
+    _residual(system, worst)
+    for iteration in range(MOST_CREEPING):
+        system.increment(resistance / options.relaxation)
+        result.iterations += 1
+        # What is prescribed moves the solid in the first iteration, by any length.
+        fits = iteration == 0 or system.farthest <= FAR * options.relaxation
+        if fits:
+            try:
+                system.residual()
+            except FloatingPointError:
+                fits = False
+        if not fits:
+            resistance *= STIFFER
+            if iteration == 0 or resistance > STUCK:
+                break
+            system.move(-1.0)
+            _residual(system, worst, damped=True)
+            continue
+        _, limit = _note(system, options, result, worst, 1.0)
+        if system.settled and all(r <= limit for r in system.scaled_residuals()):
+            return result
+        if system.farthest < options.relaxation:
+            resistance *= SOFTER
+    raise ConvergenceError("the solid does not come to rest, however it creeps", worst)
+
+
+def _note(
+    system: System,
+    options: NewtonOptions,
+    result: NewtonResult,
+    history: list[float],
+    part: float,
+) -> tuple[float, float]:
+    """Take an iteration down; return the size of the step and the limit of its residuals."""
+    size, state = system.scaled_norms()
+    residuals = system.scaled_residuals()
+    result.history.append([r / size if size > 0.0 else r for r in residuals])
+    result.contacts.append(system.contacts())
+    result.lengths.append(part)
+    history.append(max(result.history[-1]))
+    if system.comm.rank == 0:
+        _log.info("%s", _Line(system.field_names, result))
+    return size, max(options.tolerance * size, ROUND_OFF * state)
 
 
 def _increment(system: System, result: NewtonResult, history: list[float]) -> None:

@@ -134,10 +134,19 @@ CREASE = [(0.0, -1.0), (2.0, -1.0), (2.0, 0.0), (1.2, 0.0), (1.0, -0.5), (0.8, 0
         # On both lips; with its tip on one.
         ([(0.7, 0.0), (1.3, 0.0), (1.3, 0.3), (0.7, 0.3)], 1),
         ([(0.8, 0.0), (0.9, 0.3), (0.7, 0.3)], 1),
+        # With its tip in the mouth, by less and by more than it may.
+        ([(1.0, -0.001), (1.1, 0.3), (0.9, 0.3)], 1),
+        ([(1.0, -0.003), (1.1, 0.3), (0.9, 0.3)], 0),
     ],
 )
 def test_crease_that_another_body_has_come_into_stays(pile, filled):
     assert fill_creases(body_of(CREASE, 0.1, pile)) == filled
+
+
+def test_crease_narrower_than_what_may_be_in_it_is_filled():
+    narrow = [*CREASE[:3], (1.001, 0.0), (1.0, -0.5), (0.999, 0.0), (0.0, 0.0)]
+    pile = [(1.0, -0.1), (1.1, 0.3), (0.9, 0.3)]
+    assert fill_creases(body_of(narrow, 0.1, pile)) == 1
 
 
 TRENCH = [(0.0, -1.0), (2.0, -1.0), (2.0, 0.0), (1.05, 0.0), (1.01, -0.1), (0.99, -0.1)]

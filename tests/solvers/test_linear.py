@@ -54,6 +54,19 @@ def test_matrix_has_unit_diagonal_up_to_sign(comm):
     assert solver.n_factorisations == 2
 
 
+def test_diagonal_is_added_to_until_values_are_set_again(comm):
+    A, rows, columns, values, owned, part = random_system(comm, decades=1)
+    solver = LinearSolver(comm, owned, rows, columns)
+    more = np.linspace(0.0, 1.0, N)
+    scale = 1.0 / np.sqrt(np.abs(np.diag(A)))
+    for added in (more, 0.0 * more):
+        solver.set_values(values)
+        solver.add_to_diagonal(added[part])
+        x = np.cos(np.arange(N))
+        b = (A + np.diag(added / scale**2)) @ x
+        np.testing.assert_allclose(solver.solve(b[part]), x[part], rtol=1e-9)
+
+
 def test_negative_entries_are_dropped(comm):
     A, rows, columns, values, owned, _ = random_system(comm, decades=0)
     rows = np.concatenate((rows, np.full(3, -1, np.int32)))

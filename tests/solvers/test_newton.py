@@ -2,7 +2,13 @@
 import numpy as np
 import pytest
 
-from fenicsx_hmcontact.solvers import ConvergenceError, NewtonOptions, NewtonResult, solve_newton
+from fenicsx_hmcontact.solvers import (
+    ConvergenceError,
+    NewtonOptions,
+    NewtonResult,
+    relax,
+    solve_newton,
+)
 
 
 class Scalar:
@@ -28,12 +34,16 @@ class Scalar:
         if not np.isfinite(self.r):
             raise FloatingPointError("the residual of first is not a number")
 
-    def increment(self):
-        self.step = -self.r / self.g(self.x)
+    def increment(self, damping=0.0):
+        self.step = -self.r / (self.g(self.x) + damping * abs(self.r))
         self.x += self.step
 
     def move(self, part):
         self.x += part * self.step
+
+    @property
+    def farthest(self):
+        return abs(self.step)
 
     def violation(self, held=True):
         return abs(self.r)
@@ -177,3 +187,39 @@ def test_iterations_tell_what_the_contacts_do(comm, caplog):
         if comm.rank == 0
         else []
     )
+
+
+@pytest.mark.parametrize("move", [0.02, 0.05, 0.1])
+def test_creeps_over_a_limit_point_to_the_root_behind_it(comm, move):
+    # The left branch of x^3 - 3 x ends at x = -1 with 2; a little more load snaps through.
+    system = Scalar(comm, lambda x: x**3 - 3 * x - 2.01, lambda x: 3 * x**2 - 3, -1.3)
+    with pytest.raises(ConvergenceError):
+        solve_newton(system, NewtonOptions(max_iterations=6))
+    system.x = -1.3
+    result = relax(system, NewtonOptions(relaxation=move))
+    assert system.x == pytest.approx(2.0011, abs=1e-3)
+    assert abs(system.x**3 - 3 * system.x - 2.01) < 1e-9
+    # At its end it is Newton's method.
+    assert result.history[-1][0] < 0.1 * result.history[-2][0] < result.history[-3][0]
+
+
+def test_creep_goes_back_from_where_there_is_no_residual(comm):
+    system = Scalar(comm, np.log, lambda x: 1 / x, 30.0)
+    with np.errstate(invalid="ignore"):
+        result = relax(system, NewtonOptions(relaxation=10.0))
+    assert system.x == pytest.approx(1.0, rel=1e-9)
+    # Dashpots that have faded let an increment end at a negative number.
+    assert result.iterations > len(result.history)
+
+
+def test_solid_that_does_not_come_to_rest_is_reported(comm):
+    system = Scalar(comm, lambda x: np.exp(-x), lambda x: -np.exp(-x), 0.0)
+    with pytest.raises(ConvergenceError, match="does not come to rest") as error:
+        relax(system, NewtonOptions(relaxation=0.1))
+    assert len(error.value.history) > 0
+
+
+@pytest.mark.parametrize("relaxation", [-1e-3, np.nan, np.inf])
+def test_refuses_relaxations(relaxation):
+    with pytest.raises(ValueError, match="relaxation"):
+        NewtonOptions(relaxation=relaxation)

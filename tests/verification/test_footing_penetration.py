@@ -77,6 +77,15 @@ def test_trapped_water_holds_the_cavity_open(pushed):
     assert printed.lost < 1e-8 * printed.moved
 
 
+@pytest.mark.slow
+def test_film_of_trapped_water_keeps_the_faces_apart_for_long():
+    options, _ = demo.parse(["--h", "0.4", "--printed"])
+    report = Report("footing_penetration", demo.comm, {})
+    _, history = demo.push(options, "printed", report, conditions=False)
+    assert not history.failure and len(history.load) == options.steps
+    assert 9 <= history.closure_step <= 15
+
+
 def test_demo_writes_report_and_pictures(comm, shared_tmp_path, monkeypatch):
     report = shared_tmp_path / "report.json"
     words = ["--settlement", "0.05", "--steps", "1", "--duration", "150", "--h", "0.5"]

@@ -76,15 +76,29 @@ def test_water_into_the_gap_is_its_volume(runs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("h_corner", [0.1, 0.025])
-def test_trench_below_the_corner_is_filled_on_any_mesh(h_corner):
-    options, _ = demo.parse(["--h-corner", str(h_corner)])
+@pytest.mark.parametrize(
+    "words", [("--h-corner", "0.1"), ("--h-corner", "0.025"), ("--h", "0.5", "--h-corner", "0.025")]
+)
+def test_trench_below_the_corner_is_filled_on_any_mesh(words):
+    options, _ = demo.parse(words)
     scene, history = demo.move(options, float(FAST), Report("footing_uplift", demo.comm, {}))
     assert history.failure == "" and history.uplift[-1] == pytest.approx(options.uplift, rel=1e-12)
     assert any(record.counts["soil"].get("filled", 0) for record in scene.simulation.records)
     # Undrained, at its depth: 6 c per width.
     undrained = 6.0 * options.c * 2.0 * options.half_width
     assert history.resistance[-1] == pytest.approx(undrained, rel=0.03)
+
+
+@pytest.mark.slow
+def test_soil_that_snaps_to_another_equilibrium_creeps_there():
+    words = ["--h", "2", "--h-corner", "0.1", "--growth", "0.4"]
+    reached = []
+    for more in ([], ["--relaxation", "0"]):
+        options, _ = demo.parse([*words, *more])
+        _, history = demo.move(options, 2.0, Report("footing_uplift", demo.comm, {}))
+        reached.append(history.uplift[-1])
+    assert reached[0] == pytest.approx(options.uplift, rel=1e-12) and reached[1] < 0.1
+    assert history.failure
 
 
 def test_run_that_ends_early_has_no_resistance():

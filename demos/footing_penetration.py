@@ -66,7 +66,7 @@ IN_SIGHT = (-4.0, 4.0), (-4.5, 1.6)
 #
 # Free water stands on the ground where the footing does not cover it. Wide gaps lead so well that
 # the matrix would suffer; beyond the cap of the aperture the pressure in the gap is uniform to
-# $10^{-5}$.
+# $10^{-5}$. One closed node seals: what is squeezed out must not leak through pinched facets.
 #
 # Water that is trapped balloons the tips of the cavity and drives its faces over each other: with
 # the printed values the faces are remeshed, and friction follows the pressures of the step's start.

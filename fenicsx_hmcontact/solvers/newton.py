@@ -214,8 +214,7 @@ def solve_newton(system: System, options: NewtonOptions) -> NewtonResult:
             part = _take(system, before, system.reach if guarded else 1.0)
         except FloatingPointError as error:
             raise ConvergenceError(str(error), [*worst, np.nan]) from error
-        size, limit = _note(system, options, result, worst, part)
-        residuals = system.scaled_residuals()
+        size, limit, residuals = _note(system, options, result, worst, part)
         small = all(r <= limit for r in residuals) and system.settled
         if small and part == 1.0 and (not guarded or system.violation(held=False) <= limit):
             return result
@@ -280,8 +279,8 @@ def relax(system: System, options: NewtonOptions) -> NewtonResult:
             system.move(-1.0)
             _residual(system, worst, damped=True)
             continue
-        _, limit = _note(system, options, result, worst, 1.0)
-        if system.settled and all(r <= limit for r in system.scaled_residuals()):
+        _, limit, residuals = _note(system, options, result, worst, 1.0)
+        if system.settled and all(r <= limit for r in residuals):
             return result
         if system.farthest < options.relaxation:
             resistance *= SOFTER
@@ -294,8 +293,8 @@ def _note(
     result: NewtonResult,
     history: list[float],
     part: float,
-) -> tuple[float, float]:
-    """Take an iteration down; return the size of the step and the limit of its residuals."""
+) -> tuple[float, float, list[float]]:
+    """Take an iteration down; return the size of the step, the limit of residuals, and them."""
     size, state = system.scaled_norms()
     residuals = system.scaled_residuals()
     result.history.append([r / size if size > 0.0 else r for r in residuals])
@@ -304,7 +303,7 @@ def _note(
     history.append(max(result.history[-1]))
     if system.comm.rank == 0:
         _log.info("%s", _Line(system.field_names, result))
-    return size, max(options.tolerance * size, ROUND_OFF * state)
+    return size, max(options.tolerance * size, ROUND_OFF * state), residuals
 
 
 def _increment(system: System, result: NewtonResult, history: list[float]) -> None:

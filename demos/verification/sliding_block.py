@@ -124,6 +124,8 @@ class Block:
             bcs=bcs,
             pairs=[self.pair],
             time_step=self.dt,
+            # Where few nodes carry all, they stick and slip in turns for long.
+            newton=hm.NewtonOptions(max_iterations=150),
         )
 
     def dofs(self, space, surface):

@@ -311,6 +311,7 @@ class ContactProblem:
     def condition_number(self) -> float:
         """Condition number, in the 2-norm, of the normalised matrix last solved with. Collective.
 
+        After a step in which the solid crept it is that without dashpots, where the step ended.
         That of the free unknowns, scaled to unit diagonal (Eq. 95): exact up to some thousand
         unknowns, estimated to about 1 % beyond; infinite where the matrix is singular.
 
@@ -319,6 +320,8 @@ class ContactProblem:
         """
         if self._system.linear is None:
             raise RuntimeError("the condition number is that of a system, and none has been solved")
+        if self._damped:
+            self._update_tangent()
         return condition_number(self._linear, self._free)
 
     def bulk_tangent(self) -> tuple[scipy.sparse.csr_array, npt.NDArray[np.bool_]]:

@@ -577,6 +577,15 @@ def test_solid_creeps_where_newtons_method_fails(comm):
     assert u.x.array.min() > 2.0
     # No dashpot is left in the matrix.
     assert problem.solve().iterations == 1
+    u.x.array[:] = 1.5
+    found = []
+    for damping in (0.0, 1.0):
+        problem.residual()
+        problem.increment(damping)
+        problem.move(-1.0)
+        found.append((problem.farthest, problem.condition_number()))
+    (plain, condition), (damped, same) = found
+    assert damped < 0.9 * plain and same == pytest.approx(condition, rel=1e-9)
 
 
 @pytest.mark.mpi

@@ -53,7 +53,7 @@ def check(points, cells, nodal, cellwise, across, t):
     zero = np.zeros(n)
 
     def same(a, b):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(a, b, rtol=0, atol=2e-14)
 
     same(nodal["displacement"], np.column_stack((t * x + y / 4, t * y**2 + x / 2, zero)))
     stress = np.column_stack((t * x, y, zero, 2 * y, x * y, *4 * (zero,)))

@@ -264,7 +264,7 @@ def push(options, water, report, series=None, conditions=True):
     o, history, begin = options, History(), time.perf_counter()
     scene, step_length = describe(o, water), o.duration / o.steps
     keep = FACES if matched(o, water) else ()
-    remesh = hm.Remeshing(keep=keep, fire_angle=o.fire_angle)
+    remesh = hm.Remeshing(keep=keep, fire_angle=o.fire_angle, fill_creases=o.fill_creases)
     newton = hm.NewtonOptions(o.tolerance, o.max_iterations)
     asked = step_length * np.arange(1, o.steps + 1)
     early = asked[: o.early_steps]
@@ -379,7 +379,7 @@ def figures_of(histories):
         "closure_step": {name: h.closure_step for name, h in histories.items()},
         "condition_number": first.condition,
         "condition_number_conventional": first.conventional,
-        "asymmetry": max((h.asymmetry[-1] for h in every if h.asymmetry), default=0.0),
+        "asymmetry": max((a for h in every for a in h.asymmetry), default=0.0),
         "failed_steps": sum(bool(h.failure) for h in every),
         "newton_median": float(np.median([n for h in every for n in h.iterations] or [0])),
         "water_balance": max(h.balance for h in every),
@@ -526,6 +526,7 @@ def parse(words=None):
     )
     p.parameter("--tau", 1.0, "-", "stabilisation of the pore pressure, 0 for none")
     p.parameter("--fire-angle", 15.0, "degrees", "remesh when an angle is smaller")
+    p.parameter("--fill-creases", 60.0, "degrees", "fill creases of the heave sharper than this")
     p.parameter("--tolerance", 1e-10, "-", "of Newton's method")
     p.parameter("--max-iterations", 30, "-", "of Newton's method, before a step is cut")
     p.parameter("--meshes", (0.3, 0.2, 0.15), "m", "edges, in --study")

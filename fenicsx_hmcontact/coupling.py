@@ -177,6 +177,7 @@ class Coupling:
             np.divide(mass @ mean, operator.D, out=water, where=operator.kept)
         traction = np.full((len(normals), 2), np.nan)
         forces, opposite = np.zeros((len(normals), 2)), np.zeros((len(self._primary.nodes), 2))
+        of_water = np.zeros_like(forces)
         paired = np.zeros(len(normals), bool)
         for part in self._components:
             if part.is_pressure:
@@ -188,6 +189,8 @@ class Coupling:
             np.divide(total, operator.D, out=traction[:, axis], where=operator.kept)
             traction[:, axis] -= water * normals[:, axis]
             forces[:, axis] = total + operator.C.T @ total
+            pressed = np.where(operator.kept, water * operator.D * normals[:, axis], 0.0)
+            of_water[:, axis] = pressed + operator.C.T @ pressed
             opposite[:, axis] = -(operator.H.T @ total)
             paired |= operator.kept
         unpaired = np.where(paired, 0.0, np.nan)
@@ -206,6 +209,7 @@ class Coupling:
             float(self.aperture * self._components[0].operator.D.sum()),
             self._primary.points,
             opposite,
+            of_water,
         )
 
     @property

@@ -374,7 +374,7 @@ class ContactProblem:
             unknown: One of the unknowns.
         """
         state = self.save()
-        self.residual()
+        self._assemble_bodies()
         result = fem.Function(unknown.function_space, name=f"{unknown.name}_force")
         result.x.array[:] = self.layout.views(self._raw)[self._field(unknown)]
         self.restore(state)
@@ -579,6 +579,39 @@ class ContactProblem:
             FloatingPointError: If it is not a number, a contact surface is folded, or a triangle
                 is inverted.
         """
+        self._assemble_bodies()
+        self._condensed[:] = self._raw
+        if not self._couplings:
+            return
+        current, condensation = self._current(), self.condensation
+        if self._sliding:
+            self._assemble_tangent()
+            try:
+                self._place(current)
+            except ValueError as error:
+                raise FloatingPointError(str(error)) from error
+            for coupling in self._sliding:
+                numbers, forces = coupling.water_forces()
+                self._add(numbers, -forces)
+            transmitted = self._raw.copy()
+            condensation.transmit(transmitted)
+            for coupling in self._sliding:
+                coupling.update(transmitted, self._diagonal, self._moved, damped)
+            for coupling in self._sliding:
+                self._add(*coupling.volumes())
+            # Films of several pairs may feed the same node.
+            transmitted = self._raw.copy()
+            condensation.transmit(transmitted)
+            for coupling in self._sliding:
+                coupling.follow_water(transmitted, self._diagonal, self._moved)
+            condensation.constrain(self._dependences)
+        added = condensation.offset
+        if self._film.nnz:
+            added = added + self._dt() * (self._film @ condensation.relative(current))
+        condensation.condense(self._condensed, added)
+
+    def _assemble_bodies(self) -> None:
+        """Assemble the residual of the bodies at the current state. Collective."""
         self._update_materials()
         self._raw[:] = 0.0
         for view, form, terms in zip(
@@ -593,31 +626,6 @@ class ContactProblem:
         for name, total in zip(self.field_names, self.comm.allreduce(np.array(sums)), strict=True):
             if not np.isfinite(total):
                 raise FloatingPointError(f"the residual of {name} is not a number")
-        self._condensed[:] = self._raw
-        if not self._couplings:
-            return
-        current, condensation = self._current(), self.condensation
-        if self._sliding:
-            self._assemble_tangent()
-            try:
-                self._place(current)
-            except ValueError as error:
-                raise FloatingPointError(str(error)) from error
-            transmitted = self._raw.copy()
-            condensation.transmit(transmitted)
-            for coupling in self._sliding:
-                coupling.update(transmitted, self._diagonal, self._moved, damped)
-            self._take_up_water()
-            # Films of several pairs may feed the same node.
-            transmitted = self._raw.copy()
-            condensation.transmit(transmitted)
-            for coupling in self._sliding:
-                coupling.follow_water(transmitted, self._diagonal, self._moved)
-            condensation.constrain(self._dependences)
-        added = condensation.offset
-        if self._film.nnz:
-            added = added + self._dt() * (self._film @ condensation.relative(current))
-        condensation.condense(self._condensed, added)
 
     def _place(self, current: npt.NDArray[np.float64]) -> None:
         """Couple the surfaces of sliding pairs where they are, and wet what they have left."""
@@ -695,15 +703,13 @@ class ContactProblem:
             motions = free_motions(self, self._domain)
             raise SingularSystemError("; ".join(motions) or str(error)) from error
 
-    def _take_up_water(self) -> None:
-        """Add what films take up and lead away to the residual."""
-        for coupling in self._sliding:
-            numbers, volumes = coupling.volumes()
-            mine = self.layout.owns(numbers)
-            at = self.layout.owned[numbers[mine] - self.layout.first]
-            # A node at the tip of a crack lies on both surfaces.
-            np.add.at(self._raw, at, volumes[mine])
-            np.add.at(self._condensed, at, volumes[mine])
+    def _add(self, numbers: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+        """Add what water does to the residual, at global numbers of unknowns."""
+        mine = self.layout.owns(numbers)
+        at = self.layout.owned[numbers[mine] - self.layout.first]
+        # A node at the tip of a crack lies on both surfaces.
+        np.add.at(self._raw, at, values[mine])
+        np.add.at(self._condensed, at, values[mine])
 
     def increment(self, damping: float = 0.0) -> None:
         """Assemble the tangent where it has changed, solve, and add the increment. Collective.

@@ -231,6 +231,16 @@ class SlidingCoupling:
         self._held = None
         self.status = self.status.restricted(self.status.closed, self._law)
 
+    def water_forces(self) -> tuple[npt.NDArray[np.int64], Float]:
+        """What the water in the gap does to the surfaces, to subtract from the residual.
+
+        Returns:
+            Global numbers of displacements, and forces [N/m].
+        """
+        if self.water is None:
+            return np.zeros(0, np.int64), np.zeros(0)
+        return np.concatenate(self._dofs), self.water.forces()
+
     def volumes(self) -> tuple[npt.NDArray[np.int64], Float]:
         """Water that the film takes up or leads away in the step, to add to the residual.
 
@@ -244,9 +254,9 @@ class SlidingCoupling:
     def commit(self) -> None:
         """Take the current state as the start of the next step."""
         self._last_slip = self.kinematics.slip()
-        self.kinematics.start_step()
         if self.water is not None:
             self.water.commit(self.status.closed)
+        self.kinematics.start_step()
         if self._law is not None and self._lagged:
             bound = self._law.bound(np.maximum(self._pressure, 0.0))[0]
             self._bound = np.where(self.status.closed, bound, 0.0)
@@ -391,6 +401,11 @@ class SlidingCoupling:
         unpaired = np.where(kept, 0.0, np.nan)
         zero = np.zeros(len(kept))
         water = self._pressure_between
+        on_secondary, on_primary = (np.zeros_like(points) for points in kinematics.points)
+        volume = float(operator.D @ kinematics.gap())
+        if self.water is not None:
+            forces, volume = self.water.forces().reshape(-1, 2), self.water.gap_volume()
+            on_secondary, on_primary = np.split(forces, [len(kept)])
         closed, slipping = self.status.closed & kept, self.status.slipping
         slides = slipping if self._law is not None else closed
         state = np.where(closed, np.where(slides, NodeState.SLIPPING, NodeState.STICKING), 0)
@@ -405,10 +420,11 @@ class SlidingCoupling:
             _dot(self._last_slip, turned(normals)),
             np.where(kept, state, NodeState.UNPAIRED).astype(np.int8),
             operator.D,
-            force + operator.C.T @ force,
-            float(operator.D @ kinematics.gap()),
+            force + operator.C.T @ force + on_secondary,
+            volume,
             kinematics.points[1] + kinematics.origin,
-            -(operator.H.T @ force),
+            on_primary - operator.H.T @ force,
+            on_secondary,
             0.0 if self.water is None else self.water.taken_up,
             0.0 if self.water is None else self.water.swept,
         )
@@ -426,18 +442,14 @@ class SlidingCoupling:
         return None if self.water is None else self.water.pressure
 
     def _tractions(self, residual: Float) -> tuple[Float, Float]:
-        """Forces [N/m] and effective tractions [Pa] of kept nodes, zero at others; (n_s, 2)."""
+        """Forces of the solid [N/m] and tractions [Pa] of kept nodes, zero at others; (n_s, 2)."""
         kept, D = self.kinematics.operator.kept, self.kinematics.operator.D
-        # The residual is internal less external force: what the primary does to the secondary,
-        # solid and water together.
+        # The residual is internal less external force, the water's among it: what the primary body
+        # does to the secondary one.
         force = self._layout.gather(self._dofs[0], residual).reshape(-1, 2)
         force[~kept] = 0.0
-        solid = force
-        water = self._pressure_between
-        if water is not None:
-            solid = force - water.force[:, None] * self.kinematics.secondary.normals
         traction = np.zeros_like(force)
-        np.divide(solid, D[:, None], out=traction, where=kept[:, None])
+        np.divide(force, D[:, None], out=traction, where=kept[:, None])
         return force, traction
 
     def _bedding(self, secondary: Float, primary: Float) -> Float:
@@ -474,7 +486,7 @@ class SlidingCoupling:
 
     def _constrain(self, force: Float, pressure: Float, stiffness: Float) -> None:
         """Rows of Eq. 69, corrected, in the relative displacements of the kept nodes."""
-        kinematics, status, water = self.kinematics, self.status, self._pressure_between
+        kinematics, status = self.kinematics, self.status
         operator, normals = kinematics.operator, kinematics.secondary.normals
         tangents = turned(normals)
         bound, slope = np.zeros_like(pressure), np.zeros_like(pressure)
@@ -491,13 +503,11 @@ class SlidingCoupling:
         rest = sign * (bound - slope * pressure)
 
         gap, slip = _significant(kinematics, kinematics.gap(), _dot(kinematics.slip(), tangents))
-        # The multiplier is that of the solid: what the water carries is taken off the rows.
-        carried = np.zeros_like(gap) if water is None else water.force
         constraint = np.where(np.column_stack((status.closed, sticking)), stiffness[:, None], 0.0)
         values = np.column_stack(
             (
-                np.where(status.closed, gap, -carried),
-                np.where(sticking, slip, rest * operator.D - friction * carried),
+                np.where(status.closed, gap, 0.0),
+                np.where(sticking, slip, rest * operator.D),
             )
         )
         kept = operator.kept
@@ -514,8 +524,8 @@ class SlidingCoupling:
     def _row_derivative(
         self, constraint: Float, friction: Float, rest: Float, force: Float
     ) -> csr_array:
-        """Derivative of the kept nodes' normal and tangential rows through geometry and water."""
-        kinematics, water = self.kinematics, self._pressure_between
+        """Derivative of the kept nodes' normal and tangential rows through geometry."""
+        kinematics = self.kinematics
         normals, kept = kinematics.secondary.normals, np.repeat(kinematics.operator.kept, 2)
         shape = int(kept.sum()), self._numbers.size
         closed, stick = (constraint > 0.0).T
@@ -535,13 +545,6 @@ class SlidingCoupling:
             rows += _blocks(zero, k_t * turned(normals)) @ d.relative(*kinematics.moved)
             rows += _pairs(np.zeros_like(rest), rest) @ d.D
             result = placed(rows[kept], shape)
-        if water is not None:
-            first, rows_of_all = sum(map(len, self._dofs)), (len(normals), shape[1])
-            carried = placed(water.force_weights, rows_of_all, column=first)
-            if d is not None and kinematics.pressure_derivatives is not None:
-                of_force = water.force_derivative(d, kinematics.pressure_derivatives)
-                carried = carried + placed(of_force, carried.shape)
-            result = result - (_pairs((~closed).astype(float), free) @ carried)[kept]
         return result
 
     def _transmitted(

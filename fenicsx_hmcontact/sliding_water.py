@@ -144,6 +144,11 @@ class SlidingWater:
             coefficients = placed(X[related], shape, column=first)
         return Dependence(numbers, secondary, coefficients, np.zeros(secondary.size, bool))
 
+    def forces(self) -> Float:
+        """Forces of the water on the nodes of both surfaces [N/m]; shape (2 n_s + 2 n_m,)."""
+        forces: Float = self._kinematics.void.pressing.T @ self.pressure.mean
+        return forces
+
     def fill(self, closed: Bool) -> None:
         """Put the film between the surfaces where they are.
 
@@ -178,6 +183,11 @@ class SlidingWater:
         m = first + of_volumes.shape[0]
         added = placed(of_volumes, (m, m), row=first)
         added = added + placed(film.of_pressures, (m, m), first, first)
+        presses = kinematics.void.pressing.T
+        added = added - placed(presses @ water.mean_weights, (m, m), column=first)
+        if d is not None and d_p is not None:
+            turning = kinematics.void.force_derivative(water.mean)
+            added = added - placed(turning + presses @ water.mean_derivative(d_p), (m, m))
         related = water.related
         if not related.any():
             return replace(coupled, transmitted=added)
@@ -205,23 +215,28 @@ class SlidingWater:
             closed: Nodes where the solids touch; shape (n_s,).
         """
         self._closed_before = self._without_gap(closed)
-        self._before, self.volume = self._covered_gap(), self._gap_volume()
+        self._before, self.volume = self._covered_gap(), self.gap_volume()
+        self._mouths = self._kinematics.void.mouths
 
     def commit(self, closed: Bool) -> None:
         """Take the current state as the start of the next step; book the water of this one."""
-        before = self.volume
+        before, mouths = self.volume, self._mouths
         self.begin(closed)
         assert self.film is not None
         self.taken_up = float(self.film.volumes.sum())
-        self.swept = self.volume - before - self.taken_up
+        swept = self._kinematics.void.swept(mouths)
+        # Where facets come into sight or go out of it, it is what is left of the change.
+        self.swept = self.volume - before - self.taken_up if swept is None else swept
 
     def save(self) -> Any:
         """What the start of the step leaves to it; its arrays are never written to."""
-        return self._before, self._closed_before, self.volume, self.taken_up, self.swept
+        start = self._before, self._closed_before, self._mouths
+        return start, (self.volume, self.taken_up, self.swept)
 
     def restore(self, state: Any) -> None:
         """Go back to a saved start of a step."""
-        self._before, self._closed_before, self.volume, self.taken_up, self.swept = state
+        start, (self.volume, self.taken_up, self.swept) = state
+        self._before, self._closed_before, self._mouths = start
 
     def values(self) -> dict[str, float]:
         """Water of the gap at the start of a step [m^3/m]."""
@@ -252,13 +267,13 @@ class SlidingWater:
         return self.free_ends & kinematics.operator.kept & (goes_on < 2)
 
     def _covered_gap(self) -> Float:
-        """Gap where there is a film, nan elsewhere; shape (n_s,)."""
+        """Gap where there is a film, zero elsewhere; shape (n_s,)."""
         kinematics = self._kinematics
-        return np.where(kinematics.operator.kept, kinematics.aperture(), np.nan)
+        return np.where(kinematics.operator.kept, kinematics.aperture(), 0.0)
 
-    def _gap_volume(self) -> float:
-        kinematics = self._kinematics
-        return float(kinematics.operator.D @ kinematics.gap())
+    def gap_volume(self) -> float:
+        """Volume of the gap now [m^3/m]."""
+        return float(self._kinematics.volumes().sum())
 
     def _without_gap(self, closed: Bool) -> Bool:
         """Nodes that touch, but for round-off too, or prescribed beside one; shape (n_s,)."""

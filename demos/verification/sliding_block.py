@@ -125,7 +125,7 @@ class Block:
             pairs=[self.pair],
             time_step=self.dt,
             # Where few nodes carry all, they stick and slip in turns for long.
-            newton=hm.NewtonOptions(max_iterations=150),
+            newton=hm.NewtonOptions(1e-12, max_iterations=150),
         )
 
     def dofs(self, space, surface):
@@ -165,9 +165,9 @@ class Block:
         if o.cohesion:
             bound += o.cohesion * np.minimum(1.0, p / (0.1 * o.cohesion))
         n_x, n_y = state.normals[closed].T
-        # Water presses on surfaces that have turned, too; on open nodes as well.
-        water = state.length @ (state.pore_pressure * state.normals[:, 0])
-        return state.length[closed] @ (bound * n_y - p * n_x) - water
+        resisted = state.length[closed] @ (bound * n_y - p * n_x)
+        # Water presses on edges that have turned, too; where they are open as well.
+        return resisted - state.water_forces[:, 0].sum()
 
 
 # %% [markdown]

@@ -44,6 +44,7 @@ class InterfaceState:
         volume: Volume of the gap [m^3/m].
         primary_points: Coordinates of the nodes of the primary surface [m]; shape (k, 2).
         primary_forces: Forces of the secondary surface on them [N/m]; shape (k, 2).
+        water_forces: What the water does of the forces on the secondary nodes [N/m]; shape (n, 2).
         taken_up: Water that the gap took from the bodies in the last step [m^3/m].
         swept: Water that came into the gap at its ends, with surfaces that move, in the last step
             [m^3/m]; the change of the volume is what is taken up and swept in.
@@ -63,6 +64,7 @@ class InterfaceState:
     volume: float
     primary_points: Float
     primary_forces: Float
+    water_forces: Float
     taken_up: float = 0.0
     swept: float = 0.0
 

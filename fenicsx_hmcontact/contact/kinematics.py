@@ -21,6 +21,7 @@ from .mortar import (
 )
 from .pair import ContactPair
 from .surface import Surface
+from .void import Void
 
 Float = npt.NDArray[np.float64]
 
@@ -75,7 +76,7 @@ class Kinematics:
         gap = self.gap()
         near = self.operator.kept & (np.abs(gap) <= pair.close_gaps)
         self._closed_gaps[near] = gap[near]
-        self._start_coverage = self._covered, self.faced
+        self._start_coverage, self._opening = (self._covered, self.faced), self.aperture()
 
     secondary: Surface
     primary: Surface
@@ -91,9 +92,9 @@ class Kinematics:
             self._couple(*(s.at(x) for s, x in zip(self._rest, self._points, strict=True)))
 
     def start_step(self) -> None:
-        """Measure slip from here on, and remember which nodes are covered."""
+        """Measure slip from here on, and remember gaps and which nodes are covered."""
         self._begin(self._u)
-        self._start_coverage = self._covered, self.faced
+        self._start_coverage, self._opening = (self._covered, self.faced), self.aperture()
 
     def restart_step(self) -> None:
         """Forget which nodes were covered since the start of the step."""
@@ -101,11 +102,11 @@ class Kinematics:
 
     def save(self) -> Any:
         """Where the step starts."""
-        return self._start, self._start_coverage
+        return self._start, self._start_coverage, self._opening
 
     def restore(self, state: Any) -> None:
         """Start the step where a saved one did."""
-        displacements, self._start_coverage = state
+        displacements, self._start_coverage, self._opening = state
         self._begin(displacements)
         self.restart_step()
 
@@ -142,7 +143,7 @@ class Kinematics:
         if self._pair.motion == "small":
             self._couple(*self._rest)
         self.place(displacements)
-        self._start_coverage = coverage
+        self._start_coverage, self._opening = coverage, self.aperture()
 
     @property
     def points(self) -> tuple[Float, Float]:
@@ -176,6 +177,29 @@ class Kinematics:
         gap: Float = across - self._closed_gaps
         return gap
 
+    @cached_property
+    def void(self) -> Void:
+        """The void between the surfaces, where the coupling sees them."""
+        now, flow = (self.secondary, self.primary), self._pair.flow
+        before = now if self._pair.motion == "small" else self._seen
+        # Free water stands where nothing faces a wall.
+        opening = None if flow is None or flow.outside is not None else self._opening
+        coupling = self.segments, self.operator, self.pressures.kept
+        return Void(now, before, *coupling, opening, self.derivatives)
+
+    def volumes(self) -> Float:
+        """Part of each secondary node in the void between the surfaces [m^2]; shape (n_s,)."""
+        volumes = self.void.volumes
+        return volumes + self._linear(self._u) if self._pair.motion == "small" else volumes
+
+    def growth(self) -> Float:
+        """What the void has grown by since the start of the step [m^2]; shape (n_s,)."""
+        return self._linear(self.moved) if self._pair.motion == "small" else self.void.growth
+
+    def _linear(self, displacements: tuple[Float, Float]) -> Float:
+        growth: Float = self.void.of_points @ np.concatenate(displacements).ravel()
+        return growth
+
     @property
     def share(self) -> Float:
         """Part of a node's shape function that is not that of its dropped neighbours; (n_s,)."""
@@ -200,17 +224,6 @@ class Kinematics:
     def slip(self) -> Float:
         """Relative displacement since the start of the step [m]; shape (n_s, 2)."""
         return self.between(*self.moved)
-
-    def tangential_slip(self) -> Float:
-        """Slip along the chain of secondary nodes [m]; shape (n_s,)."""
-        slip: Float = np.einsum("ia,ia->i", self.slip(), turned(self.secondary.normals))
-        return slip
-
-    def tangential_slip_derivative(self) -> csr_array:
-        """Derivative of `tangential_slip` by the coordinates [-]; (n_s, 2 n_s + 2 n_m)."""
-        # d tau . s = d n . s turned back
-        slip = -turned(self.slip())
-        return self._along_axes(turned(self.secondary.normals), slip, self.moved)
 
     @cached_property
     def derivatives(self) -> GeometryDerivatives | None:
@@ -267,8 +280,8 @@ class Kinematics:
         )
 
     def _couple(self, secondary: Surface, primary: Surface) -> None:
-        for derivatives in ("derivatives", "pressure_derivatives"):
-            self.__dict__.pop(derivatives, None)
+        for known in ("derivatives", "pressure_derivatives", "void"):
+            self.__dict__.pop(known, None)
         options = self._pair.mortar
         self.secondary, self.primary = secondary, primary
         self.segments = mortar_segments(secondary, primary, options, self._seen)

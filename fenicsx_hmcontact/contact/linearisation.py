@@ -123,7 +123,7 @@ class GeometryDerivatives:
         inverse = np.divide(1.0, D, out=np.zeros(n), where=kept)
         d = d_primary[q.primary_nodes]
         of_parts = _over_parts(np.einsum("stm,smk->stk", q.values, d), q.starts)
-        coefficients = -np.einsum("pe,ptk,ptq->pekq", self._sign, of_parts, self._turn)
+        coefficients = -np.einsum("pe,ptk,ptq->pekq", self._sign, of_parts, self.turn)
         beside = d_secondary[q.nodes[:, ::-1]]
         coefficients += np.einsum("peq,pek->pekq", self._beside, beside)
         coefficients *= inverse[q.nodes][:, :, None, None]
@@ -156,7 +156,7 @@ class GeometryDerivatives:
         primary = _blocks(n + q.primary_nodes, k)
         direct = -np.einsum("pet,pek->pkt", self._dual, z)[q.part]
         jump = np.einsum("pe,pek->pk", self._sign, z)
-        turning = np.einsum("stm,stq->smq", q.values, self._turn[q.part])
+        turning = np.einsum("stm,stq->smq", q.values, self.turn[q.part])
         turning = -turning[:, :, None] * jump[q.part][:, None, :, None]
         beside = np.einsum("peq,pek->pekq", self._beside, z)
         C, H = self.operator.C.tocoo(), self.operator.H.tocoo()
@@ -180,26 +180,6 @@ class GeometryDerivatives:
             *mean,
         )
 
-    def mass(self, values: Float, tests: GeometryDerivatives | None = None) -> csr_array:
-        """Differentiate `covered_mass` of the kept nodes, times values that stay.
-
-        Args:
-            values: Nodal values; shape (n_s,).
-            tests: What cuts the shape functions of the rows, where that are other dropped nodes.
-
-        Returns:
-            Derivative [unit of the values]; shape (n_s, n_x).
-        """
-        q, nodal, rows = self.integrals, self._of(values), self if tests is None else tests
-        # N_i N_j = (N_i(c) + s_i (xi - c) / 2) (N_j(c) + s_j (xi - c) / 2)
-        mean = np.sum(self._dual[..., 0] * nodal, axis=1, keepdims=True)
-        slope = np.sum(self._sign * nodal, axis=1, keepdims=True)
-        shapes, sign = rows._dual[..., 0], rows._sign
-        factors = [shapes * mean, (sign * mean + shapes * slope) / 2.0, sign * slope / 4.0]
-        coefficients = np.stack(factors, axis=-1)
-        entries = coefficients, q.nodes[..., None], q.part_rows[:, None, :3]
-        return q.combined(len(values), entries)
-
     def integral(self, at_ends: Float, of_length: Float) -> csr_array:
         """Differentiate integrals over the covered parts of functions of the place on the edge.
 
@@ -219,9 +199,6 @@ class GeometryDerivatives:
         factors = np.stack([mean, slope / half, of_length - half * mean], axis=-1)
         entries = factors, q.nodes[..., None], q.part_rows[:, None, [0, 1, 3]]
         return q.combined(len(self.operator.D), entries)
-
-    def _of(self, values: Float) -> Float:
-        return values[self.integrals.nodes]
 
     @cached_property
     def _kept(self) -> npt.NDArray[np.bool_]:
@@ -245,7 +222,7 @@ class GeometryDerivatives:
         return np.stack([values, self._sign * self._slope[:, None]], axis=-1)
 
     @cached_property
-    def _turn(self) -> Float:
+    def turn(self) -> Float:
         """How integrals over a part change int phi_i N_m through the dual functions.
 
         Factor of int (xi - c)^t N_m and of the derivative of int (xi - c)^q, but for the sign of
@@ -289,14 +266,14 @@ def geometry_derivatives(
     d_ends = end_derivatives(corners, segments.ends, moving, points)
     values, derivatives = segment_integrals(corners, segments.ends, d_ends, centre[part])
 
-    around, turning = _normals(secondary)
+    around, turning = normals_around(secondary)
     nodes = secondary.edges[edge]
     chain = around[nodes[:, 0], 0], nodes[:, 0], nodes[:, 1], around[nodes[:, 1], 2]
     near, ends = np.column_stack(chain), n_s + end_nodes
     turn = turning[nodes]
     at = np.column_stack([near, n_s + primary.edges[primary_edge], ends])
-    derivatives[..., :8] = _chained(derivatives[..., :8], turn)
-    d_ends[..., :8] = _chained(d_ends[..., :8], turn)
+    derivatives[..., :8] = chained(derivatives[..., :8], turn)
+    d_ends[..., :8] = chained(d_ends[..., :8], turn)
     of_segments = _rows(_blocks(at, 2).reshape(-1, 1, 16), derivatives, n_x)
 
     # The integrals over a part change with the length of its edge and with its ends.
@@ -335,7 +312,7 @@ def geometry_derivatives(
     return GeometryDerivatives(operator, normals, D, integrals)
 
 
-def _normals(surface: Surface) -> tuple[Index, Float]:
+def normals_around(surface: Surface) -> tuple[Index, Float]:
     """Derivatives of the nodal normals with respect to nodes before, at and after them [1/m].
 
     Returns:
@@ -356,7 +333,7 @@ def _normals(surface: Surface) -> tuple[Index, Float]:
     return around, result.reshape(n, 2, 6)
 
 
-def _chained(derivatives: Float, turn: Float) -> Float:
+def chained(derivatives: Float, turn: Float) -> Float:
     """Turn derivatives by two nodes and their normals into those by four nodes along the chain."""
     result = np.zeros_like(derivatives)
     result[..., 2:6] = derivatives[..., :4]

@@ -89,6 +89,19 @@ class Segments:
     ends: Float
     end_nodes: npt.NDArray[np.int32]
 
+    def some(self, which: Bool) -> Segments:
+        """Those of the segments; shape (l,)."""
+        points = which.repeat(3)
+        return Segments(
+            self.secondary_edge[points],
+            self.primary_edge[points],
+            self.xi[points],
+            self.eta[points],
+            self.weight[points],
+            self.ends[which],
+            self.end_nodes[which],
+        )
+
     @property
     def secondary_shapes(self) -> Float:
         """Shape functions of the two nodes of the secondary edge; shape (g, 2)."""

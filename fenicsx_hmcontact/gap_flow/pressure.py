@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Pore pressures of two faces that move, and how the water between them presses (Eqs. 84 to 92).
+"""Pore pressures of two faces that move, and of the water between them (Eqs. 84 to 92).
 
 The face of a dry body has no pore pressure. The water between it and a porous body has the pressure
 of the porous face alone.
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array, diags_array, eye_array, hstack
 
-from ..contact import GeometryDerivatives, Kinematics, covered_products, covered_shapes
+from ..contact import GeometryDerivatives, Kinematics
 
 Float = npt.NDArray[np.float64]
 
@@ -37,7 +37,6 @@ class GapPressure:
         mean: Mean pressure of both faces (Eq. 86) at inner nodes, that of the secondary face at
             others: so a reservoir at the end of a gap feeds it; or that of the only porous face
             [Pa]; shape (n_s,).
-        force: Force of the water on the secondary surface, along the normal [N/m]; shape (n_s,).
     """
 
     def __init__(
@@ -84,10 +83,6 @@ class GapPressure:
         return np.flatnonzero(here)
 
     @cached_property
-    def force(self) -> Float:  # noqa: D102
-        return self._force_of_mean @ self.mean
-
-    @cached_property
     def mean_weights(self) -> csr_array:
         """Mean pressure from the pore pressures [-]; shape (n_s, n_p)."""
         operator = self._kinematics.pressures
@@ -107,11 +102,6 @@ class GapPressure:
             return csr_array(self.mean_weights.shape)
         related = diags_array(self.related.astype(float))
         return hstack((related + related @ operator.C, -(related @ operator.H)), format="csr")
-
-    @property
-    def force_weights(self) -> csr_array:
-        """Force of the water from the pore pressures [m]; shape (n_s, n_p)."""
-        return self._force_of_mean @ self.mean_weights
 
     def drop_derivative(self, pressure: GeometryDerivatives) -> csr_array:
         """Derivative of the drop with respect to the coordinates [Pa/m]; (n_s, 2 n_s + 2 n_m).
@@ -152,28 +142,6 @@ class GapPressure:
         of_share = diags_array(self._share**2 * volumes) @ self._beside(pressure)
         return spread[n:] - operator.H.T @ of_share
 
-    def force_derivative(
-        self,
-        displacement: GeometryDerivatives,
-        pressure: GeometryDerivatives,
-    ) -> csr_array:
-        """Derivative of the force with respect to the coordinates of both surfaces.
-
-        Args:
-            displacement: Derivatives of the coupling of the displacements.
-            pressure: Derivatives of the coupling of the pore pressures.
-
-        Returns:
-            Matrix [Pa]; shape (n_s, 2 n_s + 2 n_m).
-        """
-        operator = self._kinematics.operator
-        plain = self._mass @ self.mean
-        share = self._kinematics.share
-        result = self._force_of_mean @ self.mean_derivative(pressure)
-        result += diags_array(share) @ pressure.mass(self.mean, displacement)
-        of_share = diags_array(share**2 * plain * operator.kept) @ self._beside(displacement)
-        return csr_array(result - of_share)
-
     def _difference_derivative(
         self, nodes: npt.NDArray[np.bool_], pressure: GeometryDerivatives
     ) -> csr_array:
@@ -195,17 +163,3 @@ class GapPressure:
         """Derivative of the sum of the weights of dropped neighbours; (n_s, 2 n_s + 2 n_m)."""
         n, m = (len(points) for points in self._kinematics.points)
         return coupling.relative(np.ones((n, 1)), np.zeros((m, 1)))
-
-    @cached_property
-    def _mass(self) -> csr_array:
-        kinematics = self._kinematics
-        surface, segments = kinematics.secondary, kinematics.segments
-        tests, trials = (
-            covered_shapes(surface, segments, operator.kept)
-            for operator in (kinematics.operator, kinematics.pressures)
-        )
-        return covered_products(surface, segments, tests, trials)
-
-    @cached_property
-    def _force_of_mean(self) -> csr_array:
-        return diags_array(self._kinematics.share) @ self._mass

@@ -423,6 +423,7 @@ def acting(mesh, pair):
         volume=0.0,
         primary_points=points,
         primary_forces=np.zeros((n, 2)),
+        water_forces=np.zeros((n, 2)),
     )
 
 

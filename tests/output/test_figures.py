@@ -241,6 +241,7 @@ def contact(**values):
         volume=0.0,
         primary_points=points,
         primary_forces=np.zeros((5, 2)),
+        water_forces=np.zeros((5, 2)),
     )
     return InterfaceState(**(fields | values))
 

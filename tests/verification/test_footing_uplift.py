@@ -91,14 +91,13 @@ def test_trench_below_the_corner_is_filled_on_any_mesh(words):
 
 @pytest.mark.slow
 def test_soil_that_snaps_to_another_equilibrium_creeps_there():
-    words = ["--h", "2", "--h-corner", "0.1", "--growth", "0.4"]
     reached = []
     for more in ([], ["--relaxation", "0"]):
-        options, _ = demo.parse([*words, *more])
-        _, history = demo.move(options, 2.0, Report("footing_uplift", demo.comm, {}))
+        options, _ = demo.parse(["--h-corner", "0.1", *more])
+        _, history = demo.move(options, float(FAST), Report("footing_uplift", demo.comm, {}))
         reached.append(history.uplift[-1])
-    assert reached[0] == pytest.approx(options.uplift, rel=1e-12) and reached[1] < 0.1
-    assert history.failure
+    assert reached[0] == pytest.approx(options.uplift, rel=1e-12)
+    assert reached[1] < 0.95 * options.uplift and history.failure
 
 
 def test_run_that_ends_early_has_no_resistance():

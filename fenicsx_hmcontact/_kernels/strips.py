@@ -44,7 +44,7 @@ def strip_moments(
         points: Nodes that make the ends [m]; shape (l, 2, 2).
         ends: Ends of the segments on the secondary edge; shape (l, 2).
         moving: Whether a primary node makes the end; shape (l, 2).
-        free: Whether no other strip goes on from the end; shape (l, 2).
+        free: Whether other water stands beyond the end; shape (l, 2).
         centre: The number c; shape (l,).
         directions: 16, or 0 without derivatives.
 

@@ -7,6 +7,8 @@ what that grows by, however far the surfaces slide.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
@@ -42,7 +44,6 @@ class Void:
         pressing: Forces of the water on the nodes of both surfaces per unit of the nodes'
             pressures, transposed [m]. It is the same but at mouths, beyond which other water
             presses.
-        mouths: Where it ends.
     """
 
     def __init__(
@@ -55,12 +56,11 @@ class Void:
         opening: Float | None,
         derivatives: GeometryDerivatives | None,
     ) -> None:
-        self._before = before
-        ends = strip_ends(now, segments, wet)
+        self._now, self._before = now, before
+        ends = self._ends = strip_ends(now, segments, wet)
         between = [] if opening is None else joints(now, ends)
-        which = open_ends(ends, between)
-        self.mouths = mouths(now, ends, which)
-        strips = Strips(now, before, ends, which, segments, operator, wet, derivatives)
+        self._open = open_ends(ends, between)
+        strips = Strips(now, before, ends, self._open, segments, operator, wet, derivatives)
         self._parts: list[Strips | Pools] = [strips]
         if opening is not None and between:
             self._parts.append(Pools(now, before, ends, between, strips, wet, opening))
@@ -68,6 +68,11 @@ class Void:
         self.growth: Float = np.sum([part.growth for part in self._parts], axis=0)
         self.of_points = _total([part.of_points for part in self._parts])
         self.pressing = _total([part.pressing for part in self._parts])
+
+    @cached_property
+    def mouths(self) -> Mouths:
+        """Where it ends."""
+        return mouths(self._now, self._ends, self._open)
 
     def swept(self, mouths: Mouths) -> float | None:
         """Volume that it took in at its mouths where surfaces slid past each other [m^2].

@@ -257,8 +257,11 @@ def gathered(problem, array):
     return np.concatenate(problem.comm.allgather(array[problem.layout.owned]))
 
 
-def notch(comm, n, m):
-    """A block of n facets a side in the corner of an L of m facets a side, a small gap around."""
+def notch(comm, n, m, *, size=1.0, dug=0.0):
+    """A block of n facets a side in the corner of an L of m facets a side.
+
+    If its corner is dug out, the two faces of each that meet are one surface, "block" and "base".
+    """
     points, cells, groups, facets, facet_groups = [], [], [], [], []
     first = 0
     squares = {"block": [(0.0, 1.0, n)], "base": [(0.0, 0.0, m), (1.0, 0.0, m), (1.0, 1.0, m)]}
@@ -292,12 +295,15 @@ def notch(comm, n, m):
         "base top": ids["base", 1.0, 1.0][-1],
         "base bottom": ids["base", 0.0, 0.0][0],
     }
-    surfaces = {name: k for k, name in enumerate(lines, 1)}
+    meeting = {"block bottom", "block right", "base floor", "base wall"} if dug else set()
+    points[lines["base wall"][0]] = (1.0 + dug, 1.0 - dug, 0.0)
+    names = {name: name.split()[0] if name in meeting else name for name in lines}
+    surfaces = {name: k for k, name in enumerate(dict.fromkeys(names.values()), 1)}
     for name, nodes in lines.items():
         facets.append(np.column_stack([nodes[:-1], nodes[1:]]))
-        facet_groups.append(np.full(len(nodes) - 1, surfaces[name]))
+        facet_groups.append(np.full(len(nodes) - 1, surfaces[names[name]]))
     arrays = MeshArrays(
-        np.array(points),
+        size * np.array(points),
         np.concatenate(cells),
         np.concatenate(groups).astype(np.int32),
         np.concatenate(facets),

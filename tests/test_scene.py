@@ -14,7 +14,7 @@ from dolfinx import fem
 
 import fenicsx_hmcontact as hm
 from fenicsx_hmcontact.output.fields import evaluate
-from tests.models import GAMMA, LOAD, fix, integral, largest, stack
+from tests.models import GAMMA, LOAD, fix, integral, largest, notch, stack
 
 SOIL = hm.LinearElastic(1e6, 0.2)
 STEEL = hm.LinearElastic(1e8, 0.2)
@@ -504,6 +504,74 @@ def test_water_is_conserved_and_a_rejected_step_undone_where_flow_lags(comm):
         for one, other in zip(ends[0], ends[2], strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-10 * largest(one, comm))
     assert not np.array_equal(ends[0][0], ends[1][0])
+
+
+def risen(comm, metre=1.0, second=1.0, newton=1.0):
+    """A block that leaves the corner of a base; its corner is dug out, and sees nothing of it."""
+    domain = notch(comm, 5, 7, size=metre, dug=0.07)
+    pascal = newton / metre**2
+    scene = hm.Scene(domain)
+    scene.water(GAMMA * newton / metre**3)
+    soil = hm.LinearElastic(1e9 * pascal, 0.2)
+    scene.body("base", soil, permeability=1e-4 * metre / second)
+    scene.body("block", soil)
+    flow = hm.GapFlow(
+        1e-5 * metre / second,
+        viscosity=1e-3 * pascal * second,
+        unit_weight=GAMMA * newton / metre**3,
+        aperture_cap=1e-4 * metre,
+    )
+    sight = hm.MortarOptions(largest_angle=10.0)
+    scene.contact("base", "block", friction=FRICTION, flow=flow, mortar=sight, name="gap")
+    scene.fix("base bottom")
+    for surface in ("block left", "block top"):
+        scene.move(
+            surface,
+            x=lambda t: -0.08 * metre * t / (1e3 * second),
+            y=lambda t: 0.05 * metre * (t / (1e3 * second)) ** 2,
+        )
+    scene.drain("base left")
+    scene.drain("base top")
+    return scene
+
+
+# Along both faces, and the corner between them that neither sees
+AWAY = 0.08 * 0.95 + 0.05 * 0.92 + 0.08 * 0.05 + 0.07 / 7
+
+
+@pytest.mark.mpi
+def test_water_behind_corners_does_not_depend_on_units(comm):
+    answers = []
+    for units in ((1.0, 1.0, 1.0), (1e3, 1.0 / 86400.0, 1e-3)):
+        metre, second, newton = units
+        scene = risen(comm, *units)
+        model, iterations = run(scene, 1e3 * second, 5e2 * second, kinematics="finite")
+        state = model.contact("gap")
+        assert state.volume / metre**2 == pytest.approx(AWAY, rel=1e-2)
+        answers.append((iterations, state.volume / metre**2, state.taken_up / metre**2))
+        answers[-1] += tuple(model.force("block top") / (newton / metre))
+    assert answers[0][0] == answers[1][0]
+    np.testing.assert_allclose(answers[0][1:], answers[1][1:], rtol=1e-8)
+
+
+@pytest.mark.mpi
+def test_a_rejected_step_leaves_nothing_in_the_water_behind_corners(comm):
+    scene = risen(comm)
+    for _ in scene.run(5e2, 2.5e2, kinematics="finite"):
+        pass
+    model, simulation = scene.model, scene.simulation
+    simulation.accept()
+    start, ends = model.save(), []
+    for dt in (2.5e2, 5e2, 2.5e2):
+        model.restore(start)
+        simulation.prescribe(5e2 + dt, dt)
+        model.solve()
+        state = model.contact("gap")
+        water = np.array([state.volume, state.taken_up, state.swept])
+        ends.append([model.u.x.array.copy(), model.p.x.array.copy(), state.water_forces, water])
+    for one, other in zip(ends[0], ends[2], strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * largest(one, comm))
+    assert ends[1][-1][1] > 1.9 * ends[0][-1][1] > 0.0
 
 
 # --- words ----------------------------------------------------------------------------------------

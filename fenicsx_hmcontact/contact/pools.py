@@ -30,6 +30,9 @@ type Mouths = dict[tuple[int, int, int, int], tuple[float, float]]
 SAME = 1e-9
 """Places on a chain that are closer are the same [edges]."""
 
+NONE = 1e-6
+"""Gaps below this share a pool alike, not by their round-off [edges]."""
+
 
 class Chains:
     """Places on the chains of a surface, counted in edges from the first node of each.
@@ -353,13 +356,12 @@ def _shares(
     secondary: Surface, ends: Ends, joint: Joint, wet: Bool, opening: Float
 ) -> list[tuple[int, float]]:
     """Wet nodes next to the mouths of a pool, and their parts in it."""
-    nodes = []
+    nodes, least = [], 0.0
     for strip, end in zip(joint.strips, (1, 0), strict=True):
         if strip >= 0:
             both = secondary.edges[ends.edges[strip, 0]]
             near, far = both[::-1] if ends.places[strip, end, 0] > 0.0 else both
             nodes.append(int(near if wet[near] else far))
-    parts = np.maximum(opening[nodes], 0.0) ** 2
-    total = parts.sum()
-    parts = parts / total if total > 0.0 else np.full(len(nodes), 1.0 / len(nodes))
-    return list(zip(nodes, parts.tolist(), strict=True))
+            least += NONE * float(np.linalg.norm(np.diff(secondary.points[both], axis=0)))
+    parts = np.maximum(opening[nodes], least) ** 2
+    return list(zip(nodes, (parts / parts.sum()).tolist(), strict=True))

@@ -14,7 +14,7 @@ from dolfinx import fem
 from scipy.sparse import csr_array, diags_array
 
 from .contact import ContactPair, Dependence, Kinematics, Surface, surface_dofs
-from .gap_flow import GapFlow, GapPressure, MovingFilm
+from .gap_flow import GapFlow, GapPressure, MovingFilm, unseen_exchange
 from .solvers import FieldLayout
 
 Float = npt.NDArray[np.float64]
@@ -157,7 +157,7 @@ class SlidingWater:
         """
         closed = self._closed_before if self._flow.lagged else self._without_gap(closed)
         faces, dt = (self._kinematics, self.pressure), self._time_step()
-        self.film = MovingFilm(self._flow, *faces, closed, self._before, dt)
+        self.film = MovingFilm(self._flow, *faces, closed, self._before, dt, self._unseen)
 
     def conditions(
         self, coupled: Dependence, residual: Float, diagonal: Float, moved: bool
@@ -216,7 +216,7 @@ class SlidingWater:
         """
         self._closed_before = self._without_gap(closed)
         self._before, self.volume = self._covered_gap(), self.gap_volume()
-        self._mouths = self._kinematics.void.mouths
+        self._mouths, self._unseen = self._kinematics.void.mouths, self._exchange()
 
     def commit(self, closed: Bool) -> None:
         """Take the current state as the start of the next step; book the water of this one."""
@@ -230,13 +230,13 @@ class SlidingWater:
 
     def save(self) -> Any:
         """What the start of the step leaves to it; its arrays are never written to."""
-        start = self._before, self._closed_before, self._mouths
+        start = self._before, self._closed_before, self._mouths, self._unseen
         return start, (self.volume, self.taken_up, self.swept)
 
     def restore(self, state: Any) -> None:
         """Go back to a saved start of a step."""
         start, (self.volume, self.taken_up, self.swept) = state
-        self._before, self._closed_before, self._mouths = start
+        self._before, self._closed_before, self._mouths, self._unseen = start
 
     def values(self) -> dict[str, float]:
         """Water of the gap at the start of a step [m^3/m]."""
@@ -270,6 +270,14 @@ class SlidingWater:
         """Gap where there is a film, zero elsewhere; shape (n_s,)."""
         kinematics = self._kinematics
         return np.where(kinematics.operator.kept, kinematics.aperture(), 0.0)
+
+    def _exchange(self) -> csr_array:
+        """`unseen_exchange` for the pore pressures of both faces; shape (n_p, n_p)."""
+        here, there = (numbers.size for numbers in self.numbers)
+        shape = here + there, here + there
+        if not (here and there):
+            return csr_array(shape)
+        return placed(unseen_exchange(self._flow, self._kinematics), shape, here, here)
 
     def gap_volume(self) -> float:
         """Volume of the gap now [m^3/m]."""

@@ -574,6 +574,34 @@ def test_a_rejected_step_leaves_nothing_in_the_water_behind_corners(comm):
     assert ends[1][-1][1] > 1.9 * ends[0][-1][1] > 0.0
 
 
+@pytest.mark.mpi
+def test_a_finer_tight_body_has_the_pressures_of_the_film(comm):
+    """Nothing but the film leads the water of its face, and no coarse node sees all of it."""
+    domain = stack(comm, (4, 11), rows=4)
+    scene = hm.Scene(domain)
+    scene.body("block_0", SOIL, permeability=1e-6)
+    scene.body("block_1", hm.LinearElastic(3e10, 0.2), permeability=1e-14)
+    flow = hm.GapFlow(1e-6, aperture_cap=3e-3, lagged=True)
+    scene.contact("top_0", "bottom_1", friction=FRICTION, flow=flow, name="base")
+    scene.fix("bottom_0")
+    for surface in ("left_0", "left_1"):
+        scene.fix(surface, "x")
+    scene.move("top_1", y=lambda t: 2e-6 * t)
+    scene.drain("right_0")
+    for step in scene.run(1e4, 1e3, kinematics="finite"):
+        assert step.iterations <= 5 and step.cuts == 0
+        appeared, moved = scene.model.water_balance()
+        assert abs(appeared) < 1e-6 * moved
+    p = scene.model.p
+    x = p.function_space.tabulate_dof_coordinates()
+    facets = domain.facet_tags.find(domain.surface("bottom_1"))
+    face = fem.locate_dofs_topological(p.function_space, 1, facets)
+    parts = comm.allgather(np.column_stack([x[face, 0], p.x.array[face]]))
+    along, pressures = np.unique(np.concatenate(parts).round(9), axis=0).T
+    # Water comes in from the right, smoothly.
+    assert len(along) == 12 and (np.diff(pressures) > 0.01).all() and pressures[-1] < 0.0
+
+
 # --- words ----------------------------------------------------------------------------------------
 
 

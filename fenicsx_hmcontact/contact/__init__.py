@@ -20,6 +20,7 @@ from .mortar import (
     mortar_operator,
     mortar_segments,
     sees_only_backs,
+    unseen_values,
 )
 from .pair import ContactPair
 from .surface import Surface, gather_surface, surface_dofs
@@ -59,4 +60,5 @@ __all__ = [
     "surface_values",
     "tangential_law",
     "turned",
+    "unseen_values",
 ]

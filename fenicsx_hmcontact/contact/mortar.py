@@ -16,7 +16,7 @@ from math import cos, radians
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.spatial import cKDTree
 
 from .._kernels import mortar as kernels
@@ -483,6 +483,37 @@ def covered_products(
     products = weight[:, None, None] * tests[:, :, None] * trials[:, None, :]
     n = len(secondary.nodes)
     return assemble(products, nodes[:, :, None], nodes[:, None, :], (n, n))
+
+
+def unseen_values(
+    surfaces: tuple[Surface, Surface], segments: Segments, operator: MortarOperator
+) -> csr_array:
+    """What the coupling does not see of values on the primary surface.
+
+    Where this has more nodes than the secondary one, some values have no mean at any node there.
+
+    Args:
+        surfaces: Secondary and primary surface.
+        segments: Where they face each other.
+        operator: Their coupling.
+
+    Returns:
+        Difference at the Gauss points between a primary value and what the secondary nodes make of
+        it, zero on facets without a node; shape (g, n_m).
+    """
+    secondary, primary = surfaces
+    count, n, m = len(segments.xi), len(secondary.nodes), len(primary.nodes)
+    at = np.arange(count)[:, None]
+    shapes = covered_shapes(secondary, segments, operator.kept)
+    nodes = secondary.edges[segments.secondary_edge]
+    sums = operator.H.sum(axis=1)
+    means = diags_array(np.divide(1.0, sums, out=np.zeros(n), where=operator.kept & (sums != 0.0)))
+    seen = assemble(shapes, at, nodes, (count, n)) @ means @ operator.H
+    there = shapes.sum(axis=1)
+    opposite = primary.edges[segments.primary_edge]
+    return csr_array(
+        assemble(segments.primary_shapes * there[:, None], at, opposite, (count, m)) - seen
+    )
 
 
 def primary_coverage(primary: Surface, segments: Segments) -> Float:

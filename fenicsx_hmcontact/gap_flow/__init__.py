@@ -3,7 +3,7 @@
 
 from .film import film_conductance, mean_pressure
 from .law import ApertureLaw, GapFlow, ResidualAperture
-from .moving_film import MovingFilm
+from .moving_film import MovingFilm, unseen_exchange
 from .pressure import GapPressure
 
 __all__ = [
@@ -14,4 +14,5 @@ __all__ = [
     "ResidualAperture",
     "film_conductance",
     "mean_pressure",
+    "unseen_exchange",
 ]

@@ -17,6 +17,7 @@ from ..contact import (
     covered_gradients,
     covered_products,
     covered_shapes,
+    unseen_values,
 )
 from .law import GapFlow
 from .pressure import GapPressure
@@ -44,6 +45,8 @@ class MovingFilm:
             (n_s,).
         before: Gap of each node at the start of the step [m], zero without film; shape (n_s,).
         time_step: Length of the step [s].
+        unseen: Exchange of pore pressures that the coupling does not see, from `unseen_exchange`
+            [m^2/(Pa s)]; shape (n_p, n_p).
 
     Attributes:
         watertight: Nodes without drop: nothing is between the faces; shape (n_s,).
@@ -60,6 +63,7 @@ class MovingFilm:
         closed: Bool,
         before: Float,
         time_step: float,
+        unseen: csr_array,
     ) -> None:
         self._flow, self._kinematics, self._dt = flow, kinematics, time_step
         # What makes the water flow: pressures beyond those at rest.
@@ -74,7 +78,8 @@ class MovingFilm:
         self.watertight = closed if flow.closes else np.zeros_like(closed)
         self._leaking = water.related & ~self.watertight
         self._taken_up = kinematics.growth() + self._along @ driving.mean
-        self.volumes = driving.mean_weights.T @ self._taken_up
+        self._unseen = time_step * unseen
+        self.volumes = driving.mean_weights.T @ self._taken_up + self._unseen @ driving.values
         self.leak = self.of_drops @ driving.drop
 
     @cached_property
@@ -89,7 +94,7 @@ class MovingFilm:
     def of_pressures(self) -> csr_array:
         """Derivative of the volumes with respect to the pore pressures [m^2/Pa]; (n_p, n_p)."""
         weights = self._driving.mean_weights
-        return csr_array(weights.T @ self._along @ weights)
+        return csr_array(weights.T @ self._along @ weights + self._unseen)
 
     def of_coordinates(
         self, displacement: GeometryDerivatives | None, pressure: GeometryDerivatives | None
@@ -119,6 +124,7 @@ class MovingFilm:
             of_mean = of_mean + driving.mean_derivative(pressure)
             of_drop = of_drop + driving.drop_derivative(pressure)
         of_volumes = driving.mean_weights.T @ (of_taken_up + self._along @ of_mean)
+        of_volumes = of_volumes + self._unseen @ self._heights
         if displacement is not None and pressure is not None:
             of_volumes = of_volumes + driving.spread_derivative(self._taken_up, pressure)
         return csr_array(of_volumes), csr_array(of_leak + self.of_drops @ of_drop)
@@ -197,6 +203,31 @@ class MovingFilm:
         """Integrate products of functions of the two nodes of each facet; shape (n_s, n_s)."""
         kinematics = self._kinematics
         return covered_products(kinematics.secondary, kinematics.segments, tests, trials, factor)
+
+
+def unseen_exchange(flow: GapFlow, kinematics: Kinematics) -> csr_array:
+    """Flow between the film and pressures of the primary face that no secondary node sees.
+
+    Where the primary surface is the finer one, some of its pressures have no mean at any secondary
+    node, and only the body behind it leads their water: if it is tight, what little of the flow
+    along the gap ends up there makes them boundless. In the gap water leads it across, or over the
+    secondary facet where that is longer, and along. Linear pressures exchange nothing.
+
+    Args:
+        flow: Law of the film.
+        kinematics: The surfaces.
+
+    Returns:
+        Flow per unit of the primary pressures [m^2/(Pa s)]; shape (n_m, n_m).
+    """
+    secondary, segments = kinematics.secondary, kinematics.segments
+    unseen = unseen_values((secondary, kinematics.primary), segments, kinematics.pressures)
+    length = secondary.lengths[segments.secondary_edge]
+    widest = kinematics.aperture()[secondary.edges[segments.secondary_edge]].max(axis=1)
+    aperture, _ = flow.hydraulic_aperture(widest)
+    across = flow.transverse_conductivity(np.maximum(aperture, length))
+    along = flow.longitudinal_conductance(aperture) / length**2
+    return csr_array(unseen.T @ diags_array(segments.weight * (across + along)) @ unseen)
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ class GapPressure:
         mean: Mean pressure of both faces (Eq. 86) at inner nodes, that of the secondary face at
             others: so a reservoir at the end of a gap feeds it; or that of the only porous face
             [Pa]; shape (n_s,).
+        values: Pore pressures of both faces [Pa]; shape (n_p,).
     """
 
     def __init__(
@@ -59,7 +60,8 @@ class GapPressure:
             drop = secondary + operator.C @ secondary - operator.H @ primary
             self.drop = np.where(self.related, drop, 0.0)
         present = [values for values in (secondary, primary) if values is not None]
-        self.mean = self.mean_weights @ np.concatenate(present)
+        self.values = np.concatenate(present)
+        self.mean = self.mean_weights @ self.values
 
     def in_excess(self, unit_weight: float, gravity: tuple[float, float]) -> GapPressure:
         """Pressures beyond those of water at rest, p + gamma_f h.

@@ -18,6 +18,7 @@ from fenicsx_hmcontact.contact.mortar import (
     covered_stiffness,
     mortar_operator,
     mortar_segments,
+    unseen_values,
 )
 from fenicsx_hmcontact.contact.surface import Surface, gather_surface
 from fenicsx_hmcontact.domain import vertex_ghost_partitioner
@@ -196,6 +197,26 @@ def test_node_on_both_surfaces_is_dropped():
     assert np.array_equal(operator.dropped, mask(9, 0, -1))
     rows = (operator.H.sum(axis=1) - operator.C.sum(axis=1))[operator.kept]
     assert np.allclose(rows, 1, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+@pytest.mark.parametrize("part", [1.0, 0.62])
+def test_what_the_coupling_does_not_see_of_a_finer_primary_surface(slope, part):
+    surfaces = pair(uneven(4), uneven(13, -0.1, part), lambda x: slope * x)
+    segments = mortar_segments(*surfaces, ANY)
+    operator = mortar_operator(*surfaces, segments, None, ANY)
+    unseen = unseen_values(surfaces, segments, operator)
+    assert np.abs(unseen @ np.ones(14)).max() < 1e-14
+    on_whole_facets = operator.kept[surfaces[0].edges[segments.secondary_edge]].all(axis=1)
+    assert on_whole_facets.sum() >= 18
+    assert np.abs(unseen @ linear(surfaces[1]))[on_whole_facets].max() < 1e-13
+    # Values without a mean at any node are as they are.
+    _, sizes, ways = np.linalg.svd(operator.H.toarray())
+    invisible = ways[(sizes > 1e-12).sum() :].T
+    assert invisible.shape[1] >= 9
+    at = surfaces[1].edges[segments.primary_edge]
+    values = np.einsum("gi,gik->gk", segments.primary_shapes, invisible[at])
+    assert unseen @ invisible == pytest.approx(values, abs=1e-12)
 
 
 def wavy(x):

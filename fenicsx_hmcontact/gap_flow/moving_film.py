@@ -31,6 +31,9 @@ POINTS = 3
 POWERS = (-1, 1)
 """Power of a facet's length with which its flow along and its leaks grow."""
 
+THIN = 1e-3
+"""Thinnest film that pressures no node sees pass through [facets]."""
+
 
 class MovingFilm:
     """Water in the gap at the current place of the surfaces, in one step.
@@ -223,10 +226,10 @@ def unseen_exchange(flow: GapFlow, kinematics: Kinematics) -> csr_array:
     secondary, segments = kinematics.secondary, kinematics.segments
     unseen = unseen_values((secondary, kinematics.primary), segments, kinematics.pressures)
     length = secondary.lengths[segments.secondary_edge]
-    widest = kinematics.aperture()[secondary.edges[segments.secondary_edge]].max(axis=1)
-    aperture, _ = flow.hydraulic_aperture(widest)
-    across = flow.transverse_conductivity(np.maximum(aperture, length))
-    along = flow.longitudinal_conductance(aperture) / length**2
+    gaps = kinematics.aperture()[secondary.edges[segments.secondary_edge]]
+    apertures, _ = flow.hydraulic_aperture(gaps)
+    across = flow.transverse_conductivity(np.maximum(apertures.max(axis=1), THIN * length))
+    along = flow.conductance_between(apertures)[0] / length**2
     return csr_array(unseen.T @ diags_array(segments.weight * (across + along)) @ unseen)
 
 

@@ -10,6 +10,7 @@ from dolfinx import fem
 
 import fenicsx_hmcontact as hm
 from fenicsx_hmcontact.contact import ContactStatus
+from fenicsx_hmcontact.gap_flow import unseen_exchange
 from tests.models import dense, fix, largest, notch, stack
 
 CUBIC = {}
@@ -88,6 +89,25 @@ def check_tangent(problem):
             difference += sign * problem._condensed * scale / (2.0 * h)
         error = (difference - A @ direction)[free]
         assert largest(error, comm) < 1e-6 * largest((A @ direction)[free], comm)
+
+
+@pytest.mark.parametrize("sealing", [False, True])
+def test_what_no_node_sees_of_pressures_passes_no_closed_node_that_seals(sealing):
+    flow = hm.GapFlow(1e-12, viscosity=1e-3, unit_weight=50.0, sealing=sealing)
+    problem = soft_blocks(MPI.COMM_SELF, flow)
+    problem.residual()
+    kinematics = problem._sliding[0].kinematics
+    n = len(kinematics.secondary.nodes)
+    exchanges = []
+    for gaps in ([0.01, 0.01], [0.01, 0.0]):
+        kinematics.aperture = lambda gaps=gaps: np.resize(gaps, n)
+        exchanges.append(unseen_exchange(flow, kinematics).toarray())
+        size = np.abs(exchanges[-1]).max()
+        assert np.abs(exchanges[-1].sum(axis=1)).max() < 1e-12 * size
+        assert exchanges[-1] == pytest.approx(exchanges[-1].T, abs=1e-15 * size)
+        assert np.linalg.eigvalsh(exchanges[-1]).min() > -1e-12 * size
+    of_all, of_half = (np.abs(exchange).max() for exchange in exchanges)
+    assert (of_half < 1e-6 * of_all) if sealing else (of_half > 0.1 * of_all)
 
 
 @pytest.mark.parametrize("motion", ["finite", "small"])

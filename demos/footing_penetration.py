@@ -264,7 +264,14 @@ def push(options, water, report, series=None, conditions=True):
     o, history, begin = options, History(), time.perf_counter()
     scene, step_length = describe(o, water), o.duration / o.steps
     keep = FACES if matched(o, water) else ()
-    remesh = hm.Remeshing(keep=keep, fire_angle=o.fire_angle, fill_creases=o.fill_creases)
+    # The load is as wide as the edges at the footing's corners are long, which stretch.
+    remesh = hm.Remeshing(
+        keep=keep,
+        fire_angle=o.fire_angle,
+        fire_boundary_edge=1.04 * o.boundary_edge,
+        longest_boundary_edge=o.boundary_edge,
+        fill_creases=o.fill_creases,
+    )
     newton = hm.NewtonOptions(o.tolerance, o.max_iterations)
     asked = step_length * np.arange(1, o.steps + 1)
     early = asked[: o.early_steps]
@@ -526,6 +533,7 @@ def parse(words=None):
     )
     p.parameter("--tau", 1.0, "-", "stabilisation of the pore pressure, 0 for none")
     p.parameter("--fire-angle", 15.0, "degrees", "remesh when an angle is smaller")
+    p.parameter("--boundary-edge", 1.25, "-", "longest edge of the boundary over that at the start")
     p.parameter("--fill-creases", 60.0, "degrees", "fill creases of the heave sharper than this")
     p.parameter("--tolerance", 1e-10, "-", "of Newton's method")
     p.parameter("--max-iterations", 30, "-", "of Newton's method, before a step is cut")

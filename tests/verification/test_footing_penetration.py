@@ -83,7 +83,9 @@ def test_film_of_trapped_water_keeps_the_faces_apart_for_long():
     report = Report("footing_penetration", demo.comm, {})
     _, history = demo.push(options, "printed", report, conditions=False)
     assert not history.failure and len(history.load) == options.steps
-    assert 9 <= history.closure_step <= 15
+    # With water they meet in step 5, and the cavity is empty at the end.
+    assert history.closure_step >= 7
+    assert history.volume[-1] > 0.85 * history.volume[0] > 0.1
 
 
 def test_demo_writes_report_and_pictures(comm, shared_tmp_path, monkeypatch):

@@ -490,7 +490,7 @@ def unseen_values(
 ) -> csr_array:
     """What the coupling does not see of values on the primary surface.
 
-    Where this has more nodes than the secondary one, some values have no mean at any node there.
+    Where this has more nodes than the secondary one, some values have no mean at any node of that.
 
     Args:
         surfaces: Secondary and primary surface.

@@ -213,8 +213,8 @@ def unseen_exchange(flow: GapFlow, kinematics: Kinematics) -> csr_array:
 
     Where the primary surface is the finer one, some of its pressures have no mean at any secondary
     node, and only the body behind it leads their water: if it is tight, what little of the flow
-    along the gap ends up there makes them boundless. In the gap water leads it across, or over the
-    secondary facet where that is longer, and along. Linear pressures exchange nothing.
+    along the gap ends up there makes them boundless. So they exchange water with the film: across
+    it, and along it over a facet. Linear pressures exchange nothing.
 
     Args:
         flow: Law of the film.

@@ -478,6 +478,18 @@ def test_units_do_not_matter(comm, flood):
     np.testing.assert_allclose(*(a[1] for a in answers), rtol=1e-8, atol=1e-8 * 1e3)
 
 
+def ends_of_steps(scene, t, lengths):
+    """The models after steps of these lengths [s], each from the present state; collective."""
+    model, simulation = scene.model, scene.simulation
+    simulation.accept()
+    start = model.save()
+    for dt in lengths:
+        model.restore(start)
+        simulation.prescribe(t + dt, dt)
+        model.solve()
+        yield model
+
+
 @pytest.mark.mpi
 def test_water_is_conserved_and_a_rejected_step_undone_where_flow_lags(comm):
     scene = footing(comm, push=0.002)
@@ -490,14 +502,10 @@ def test_water_is_conserved_and_a_rejected_step_undone_where_flow_lags(comm):
         appeared, moved = model.water_balance()
         assert abs(appeared) < 1e-9 * moved
         assert moved > model.contact("base").taken_up > 0.0
-    simulation = scene.simulation
-    simulation.accept()
-    state, ends = model.save(), []
-    for dt in (5e2, 9e2, 5e2):
-        model.restore(state)
-        simulation.prescribe(1e3 + dt, dt)
-        model.solve()
-        ends.append([f.x.array.copy() for f in (model.u, model.p)])
+    ends = [
+        [f.x.array.copy() for f in (model.u, model.p)]
+        for model in ends_of_steps(scene, 1e3, (5e2, 9e2, 5e2))
+    ]
     if comm.size == 1:
         assert all(map(np.array_equal, ends[0], ends[2]))
     else:
@@ -559,19 +567,18 @@ def test_a_rejected_step_leaves_nothing_in_the_water_behind_corners(comm):
     scene = risen(comm)
     for _ in scene.run(5e2, 2.5e2, kinematics="finite"):
         pass
-    model, simulation = scene.model, scene.simulation
-    simulation.accept()
-    start, ends = model.save(), []
-    for dt in (2.5e2, 5e2, 2.5e2):
-        model.restore(start)
-        simulation.prescribe(5e2 + dt, dt)
-        model.solve()
+    ends = []
+    for model in ends_of_steps(scene, 5e2, (5e2, 2.5e2, 5e2, 2.5e2)):
         state = model.contact("gap")
         water = np.array([state.volume, state.taken_up, state.swept])
         ends.append([model.u.x.array.copy(), model.p.x.array.copy(), state.water_forces, water])
-    for one, other in zip(ends[0], ends[2], strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * largest(one, comm))
-    assert ends[1][-1][1] > 1.9 * ends[0][-1][1] > 0.0
+    for first, again in ((0, 2), (1, 3)):
+        for one, other in zip(ends[first], ends[again], strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-10 * largest(one, comm))
+    # By then the pattern of the matrix has all that it gets.
+    if comm.size == 1:
+        assert all(map(np.array_equal, ends[1], ends[3]))
+    assert ends[0][-1][1] > 1.9 * ends[1][-1][1] > 0.0
 
 
 @pytest.mark.mpi

@@ -214,7 +214,8 @@ def unseen_exchange(flow: GapFlow, kinematics: Kinematics) -> csr_array:
     Where the primary surface is the finer one, some of its pressures have no mean at any secondary
     node, and only the body behind it leads their water: if it is tight, what little of the flow
     along the gap ends up there makes them boundless. So they exchange water with the film: across
-    it, and along it over a facet. Linear pressures exchange nothing.
+    it (c_T of Eq. 21), and along it (c_L g of Eq. 81) over a facet. Linear pressures exchange
+    nothing.
 
     Args:
         flow: Law of the film.
